@@ -98,13 +98,12 @@ def import_source(
     from trackwright.trackers.exchange.expressions import columns_of
     from trackwright.trackers.exchange.formats import format_of, has_tables
     from trackwright.trackers.exchange.imported import assembled, origin_of, read_geometry, read_source, save, since
-    from trackwright.trackers.exchange.mapping import Asked, TableMapping
-    from trackwright.trackers.exchange.mapping_file import PRESETS, MappingFile, read_mapping
-    from trackwright.trackers.exchange.source_rows import Reading
+    from trackwright.trackers.exchange.mapping import PRESETS, Asked, MappingFile, TableMapping, read_mapping
+    from trackwright.trackers.exchange.truth_frame import with_truth_moved
     from trackwright.trackers.recordings.folder import read_recording
     from trackwright.trackers.recordings.rig_file import RIG_FILE
 
-    preset = MappingFile(()) if mapping is None else read_mapping(mapping)
+    preset = MappingFile() if mapping is None else read_mapping(mapping)
     name = format or ("csv" if any(one.file for one in preset.tables) else format_of(source))
     asked = [one for one in preset.tables if (one.topic is not None) == (name == "ros")] or preset.tables
     if left := [one.table for one in preset.tables if one not in asked]:
@@ -112,14 +111,16 @@ def import_source(
         notice(f"notice: {mapping}: its entries for {kind} are skipped ({', '.join(left)})")
     own_tables = has_tables(name)
     notice(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
-    form = Reading(separator, decimal, thousands, header, skip, missing, encoding)
-    given = TableMapping(table or "", columns_of(columns), topic, tag, form)
-    mappings = _mappings(source, own_tables, given, asked)
+    given = TableMapping(
+        table=table or "ranges", columns=columns_of(columns), topic=topic, tag=tag, separator=separator,
+        decimal=decimal, thousands=thousands, header=header, skip=skip, missing=list(missing), encoding=encoding,
+    )  # fmt: skip
+    mappings = _mappings(source, own_tables, table, given, asked)
     there = (out / RIG_FILE).is_file()
     if origin == "start" and there:
         words = "expected their origin, as its first import printed it: --origin SECONDS, or none where that had none"
         raise UnusableInput(f"--origin start: {out} has tables already; {words}")
-    geometry, anchors, lines = read_geometry(rig, out, preset, form)
+    geometry, anchors, lines = read_geometry(rig, out, preset, given)
     try:
         imported = read_source(source, name, Asked(mappings, interval, skip_bad_lines, messages))
     except UnusableInput as problem:
@@ -137,9 +138,12 @@ def import_source(
     title = None if there else out.resolve().name
     for line in (*imported.notices, *lines):
         notice(f"notice: {line}")
-    folder = assembled(title, geometry, tables, anchors or imported.anchors, preset.offsets, preset.bodies)
+    folder = assembled(title, geometry, tables, anchors or imported.anchors, preset)
     if transform is not None or align_truth is not None:
-        folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform, bool(align_truth))
+        recording = read_recording(out) if there else folder
+        folder, said = with_truth_moved(folder, recording, transform, bool(align_truth))
+        for line in said:
+            notice(f"notice: {line}")
     written = save(folder, out, imported, replace)
     for line in written.notices:
         notice(f"notice: {out}: {line}")
@@ -152,50 +156,22 @@ def import_source(
 
 
 def _mappings(
-    source: Path, own_tables: bool, given: TableMapping, tables: Sequence[TableMapping]
+    source: Path, own_tables: bool, table: str | None, given: TableMapping, tables: Sequence[TableMapping]
 ) -> list[TableMapping]:
     """The mappings of the tables of a source, by the options `given`, or the `tables` of the file of --mapping."""
-    plain = not given.columns and given.topic is None and given.reading == type(given.reading)()
     if tables:
         if own_tables:
             raise UnusableInput("--mapping: a file of this format has its tables; leave it out")
-        if given.table or not plain:
+        if table or given != type(given)(table="ranges", tag=given.tag):
             raise UnusableInput(
                 "--mapping and --table, --columns, --topic or the form of a text; give one or the other"
             )
         return [m if m.tag else replaced(m, tag=given.tag) for m in tables]
-    if own_tables:
-        if given.table or given.topic is not None:
-            raise UnusableInput(f"{source}: a file of this format has its tables; leave --table and --topic out")
-        return [replaced(given, table="ranges")]
-    if given.table:
-        return [given]
-    if given.columns:
+    if own_tables and (table or given.topic is not None):
+        raise UnusableInput(f"{source}: a file of this format has its tables; leave --table and --topic out")
+    if given.columns and not (table or own_tables):
         raise UnusableInput("--columns without --table; expected --table ranges, fixes, truth or another table")
-    return []
-
-
-def _with_truth_moved(
-    folder: RecordingFolder, recording: RecordingFolder, transform: str | None, flat: bool
-) -> RecordingFolder:
-    """The imported tables, the truth moved by `transform` or as readings fit it, without a shift in z where `flat`."""
-    from trackwright.experiments.text.terminal import notice
-    from trackwright.trackers.exchange.truth_frame import found_placement, leaning, parsed_placement
-
-    truth = folder.tables.get("truth")
-    if truth is None:
-        raise UnusableInput("--transform and --align-truth: move a truth; expected --table truth")
-    if transform is not None:
-        return replaced(folder, tables=dict(folder.tables) | {"truth": parsed_placement(transform).of_table(truth)})
-    tables = dict(recording.tables) | {"truth": truth.sort("t_s", maintain_order=True)}
-    level, angle = leaning(replaced(recording, tables=tables))
-    if angle:
-        notice(f"notice: truth levelled, which leaned by {angle:.0f}° against the gravity that the IMU measures; then")
-        truth = level.table(truth)
-    tables["truth"] = truth.sort("t_s", maintain_order=True)
-    placement, words = found_placement(replaced(recording, tables=tables), flat)
-    notice(f"notice: truth moved by --transform {placement}: {words}")
-    return replaced(folder, tables=dict(folder.tables) | {"truth": placement.of_table(truth)})
+    return [given] if table or own_tables else []
 
 
 def _fit_truth(recording: Path, out: Path) -> int:

@@ -14,8 +14,9 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.exchange.expressions import numbers_of
 from trackwright.trackers.exchange.formats import beginning_of
-from trackwright.trackers.exchange.mapping import numbers_of
+from trackwright.trackers.exchange.mapping import refuse_lost_digits
 from trackwright.trackers.exchange.pose_errors import (
     Alignment,
     Statistics,
@@ -23,7 +24,7 @@ from trackwright.trackers.exchange.pose_errors import (
     compare_trajectories,
     step_of,
 )
-from trackwright.trackers.exchange.trajectories import Kind, read_trajectory, refuse_lost_digits, trajectory_of_table
+from trackwright.trackers.exchange.trajectories import Kind, read_trajectory, trajectory_of_table
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 from trackwright.trackers.recordings.tables import check_stds
@@ -54,7 +55,7 @@ def read_truth(path: Path, tag: str) -> RecordingFolder:
 
 
 def assigned(tracks: pl.DataFrame, truths: dict[str, pl.DataFrame], tag: str | None, path: Path) -> pl.DataFrame:
-    """The estimates of a file with `recording` and `tag`: those of the truth where the file does not name them.
+    """The estimates of a file with `recording` and `tag`; where the file does not name them, the truth does.
 
     `tag`: the one that the file follows, needed where the truth has several. Raises UnusableInput where it is not clear
     which truth is meant.
@@ -100,7 +101,7 @@ def _table(file: TableFile) -> pl.DataFrame:
     check_stds(file, stds, stds.columns)
     of_track = [name for name in ("recording", "tag", "station") if name in columns]
     for rows in frame.partition_by(of_track) if of_track else [frame]:
-        refuse_lost_digits(file.path, rows["t_s"].to_numpy())
+        refuse_lost_digits(f"{file.path}", rows)
     return frame
 
 

@@ -1,4 +1,4 @@
-"""Tracks for other programs: those of a table of estimates or truth, as ROS 2 bags and for the Rerun viewer."""
+"""Tracks for other programs: a table of estimates or truth as ROS 2 bags and for the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ExportedTrack:
 def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
     """The trajectories of a table of estimates or truth; rows and tracks without an estimate are left out.
 
-    Where the heading alone is known, the attitude is that of a level body.
+    Where the heading alone is known, the body is taken as level.
 
     Raises UnusableInput for bearings, and if nothing remains.
     """

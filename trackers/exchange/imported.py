@@ -19,11 +19,9 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.user_file import fault_of, from_file, split_name
-from trackwright.trackers.exchange.expressions import UNITS, columns_of
+from trackwright.trackers.exchange.expressions import UNITS, Expression, columns_of, parsed
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
-from trackwright.trackers.exchange.mapping import ORIGIN, Asked, Source, TableMapping, checked, numbers_of
-from trackwright.trackers.exchange.mapping_file import MappingFile
-from trackwright.trackers.exchange.ros_reader import topics_in
+from trackwright.trackers.exchange.mapping import ORIGIN, Asked, MappingFile, Source, TableMapping
 from trackwright.trackers.exchange.source_rows import Reading, read_rows
 from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
@@ -35,23 +33,21 @@ from trackwright.trackers.recordings.tables import unwrapped_times
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The tables of a source in the format of this name, or a user's own; raises UnusableInput with file and line."""
-    if not has_tables(name) and not asked.mappings:
-        topics = f"; topics: {topics_in(path, asked.definitions)}" if name == "ros" else ""
-        raise UnusableInput(
-            f"{path}: no table given; expected --table, or a file of mappings: --mapping FILE.toml{topics}"
-        )
+    if not has_tables(name) and not asked.mappings and name != "ros":
+        raise UnusableInput(f"{path}: no table given; expected --table, or a file of mappings: --mapping FILE.toml")
     if name in FORMATS:
-        module = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}")
-        return module.read_source(path, name, asked)
+        source: Source = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}").read_source(
+            path, name, asked
+        )
+        return source
     return _by_file(path, name, *asked.mappings)
 
 
 def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
     """The tables that a user's function gives of a source: pandas or polars frames by table, with their columns."""
     if mapping.columns:
-        raise UnusableInput(
-            f"{path}: {listed(mapping.columns)}: a file of this format has its columns; leave --columns out"
-        )
+        wrong = f"{listed(mapping.columns)}: a file of this format has its columns; leave --columns out"
+        raise UnusableInput(f"{path}: {wrong}")
     function: Callable[[Path], Any] = from_file(name, "format", "function", lambda x: isinstance(x, FunctionType))
     try:
         frames = function(path)
@@ -62,12 +58,19 @@ def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
         raise UnusableInput(f"{path}: {name} fails ({fault}); correct either") from error
     if not isinstance(frames, Mapping) or not frames:
         raise UnusableInput(f"{name}: gave {type(frames).__name__} of {path}; expected tables by name, one at least")
+    try:
+        return _of_frames(frames, {}, mapping.tag, lambda table: path)
+    except UnusableInput as problem:
+        raise UnusableInput(f"{name}: {str(problem).partition('; add --columns')[0]}") from problem
+
+
+def _of_frames(
+    frames: Mapping[str, Any], columns: Mapping[str, Sequence[str]], tag: str | None, name: Callable[[str], Path]
+) -> Source:
     source = Source()
     for table, frame in frames.items():
-        try:
-            source.read(TableFile(path, _polars(frame, table)), checked(TableMapping(table, tag=mapping.tag)))
-        except UnusableInput as problem:
-            raise UnusableInput(f"{name}: {str(problem).partition('; add --columns')[0]}") from problem
+        mapping = TableMapping(table=table, columns=columns_of(columns.get(table, ())), tag=tag)
+        source.read(TableFile(name(table), _polars(frame, table)), mapping)
     return source
 
 
@@ -90,13 +93,10 @@ def import_frames(
     require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
     fits = columns is None or isinstance(columns, Mapping)
     require(fits, "import_frames: columns", columns, "expressions by table, as {'ranges': ['range_m=distance in mm']}")
-    source = Source()
-    for table, frame in frames.items():
-        try:
-            mapping = checked(TableMapping(table, columns_of((columns or {}).get(table, ())), tag=tag))
-            source.read(TableFile(Path(f"frame {table}"), _polars(frame, table)), mapping)
-        except UnusableInput as problem:
-            raise UnusableInput(_in_python(str(problem), table)) from None
+    try:
+        source = _of_frames(frames, columns or {}, tag, lambda table: Path(f"frame {table}"))
+    except UnusableInput as problem:
+        raise UnusableInput(_in_python(str(problem))) from None
     tables = source.tables
     if origin is not None:
         tables = since(tables, origin_of(str(origin), tables))
@@ -106,30 +106,28 @@ def import_frames(
     return replace(read, path=None, notices=(*source.notices, *read.notices))
 
 
-def _in_python(message: str, table: str) -> str:
+def _in_python(message: str) -> str:
     """The message with arguments of `import_frames` in place of the command line's options."""
+    table = message.removeprefix("frame ").partition(":")[0]
     message = re.sub(r"--columns ('[^']*')", rf"columns={{'{table}': [\1]}}", message)
     return message.replace("--tag ID", "tag='ID'").replace("--tag ", "tag=").replace("--columns", "columns=")
 
 
 def _polars(frame: Any, table: str) -> pl.DataFrame:
-    if isinstance(frame, pl.LazyFrame):
-        return frame.collect()
-    if isinstance(frame, pl.DataFrame):
-        return frame
+    if isinstance(frame, pl.LazyFrame | pl.DataFrame):
+        return frame.lazy().collect()
     if type(frame).__module__.partition(".")[0] != "pandas":
         raise UnusableInput(f"{table}: found {type(frame).__name__}; expected a pandas or polars frame")
     # An index that is not the row number holds values, often the times.
     frame = frame if type(frame.index).__name__ == "RangeIndex" else frame.reset_index()
     columns = {}
-    for name in frame.columns:
-        values = frame[name].to_numpy()
+    for name, column in frame.items():
+        values = column.to_numpy()
         if values.dtype.kind == "M":
             values = values.astype("datetime64[ns]")
         if values.dtype == object:
-            missing = frame[name].isna().to_numpy()
-            values = [None if lost else value for lost, value in zip(missing, values, strict=True)]
-        columns[str(name)] = pl.Series(str(name), values)
+            values = [None if lost else value for lost, value in zip(column.isna(), values, strict=True)]
+        columns[str(name)] = pl.Series(values)
     return pl.DataFrame(columns)
 
 
@@ -138,33 +136,33 @@ def assembled(
     rig: Rig | None,
     tables: Mapping[str, pl.DataFrame],
     anchors: Mapping[str, Sequence[float]] | None = None,
-    offsets: Mapping[str, Sequence[float]] | None = None,
-    bodies: Mapping[str, Sequence[str]] | None = None,
+    preset: MappingFile | None = None,
 ) -> RecordingFolder:
     """The recording of tables, with a rig or the anchors that a log names; raises UnusableInput for unknown sensors.
 
-    Ranges of a rig that is given without anchors are those of a site to survey.
-    `name`: of the recording, by default that of the rig. `offsets`, `bodies`: places of tags on their body, m, and the
-    tags of each, of which those of the tables are added to the rig's.
+    Ranges to a rig that is given without anchors are for a survey. `name`: of the recording, by default the rig's.
+    `preset`: has the places of tags on their body and the tags of each; the rig gets them for tags in the tables.
     """
     to_survey = "ranges" if rig is not None and not rig.anchors and not anchors else None
-    rig = Rig(name or "imported") if rig is None else rig
-    if not rig.anchors:
-        rig = replace(rig, anchors={key: np.array(place) for key, place in (anchors or {}).items()})
+    rig, preset = rig or Rig(name or "imported"), preset or MappingFile()
     there = {tag for table in tables.values() for tag in table["tag"].unique()}
-    tags = {tag: Tag(offset=np.array(place)) for tag, place in (offsets or {}).items() if tag in there}
-    on_bodies = {body: tuple(t for t in names if t in there) for body, names in (bodies or {}).items()}
-    on_bodies = {body: names for body, names in on_bodies.items() if len(names) > 1}
-    rig = replace(rig, name=name or rig.name, tags=tags | dict(rig.tags), bodies=on_bodies | dict(rig.bodies))
+    tags = {tag: Tag(offset=np.array(place)) for tag, place in preset.offsets.items() if tag in there}
+    carried = {body: tuple(t for t in names if t in there) for body, names in preset.carried.items()}
+    rig = replace(
+        rig,
+        name=name or rig.name,
+        anchors=rig.anchors or {key: np.array(place) for key, place in (anchors or {}).items()},
+        tags=tags | dict(rig.tags),
+        bodies={body: names for body, names in carried.items() if len(names) > 1} | dict(rig.bodies),
+    )
     for table, kind in KINDS.items():
-        section, known = f"{kind.noun}s", kind.places(rig)
+        known = kind.places(rig)
         for column in kind.sensors if table in tables and table != to_survey else ():
             ids = tables[table][column].unique(maintain_order=True).to_list()
-            unknown = [sensor for sensor in ids if sensor not in known]
-            if unknown:
+            if unknown := [sensor for sensor in ids if sensor not in known]:
                 raise UnusableInput(
                     f"{table}: {column} {listed(map(repr, unknown))} without a position; the rig has "
-                    f"{listed(known) or 'none'}; give a rig.toml with [{section}] by --rig (in Python: rig=)"
+                    f"{listed(known) or 'none'}; give a rig.toml with [{kind.noun}s] by --rig (in Python: rig=)"
                     + ("" if known or table != "ranges" else ", or without, for trackwright survey to find them")
                 )
     return RecordingFolder(rig.name, None, rig, dict(tables))
@@ -174,35 +172,33 @@ def save(folder: RecordingFolder, out: Path, source: Source, replaced: bool = Fa
     """Writes the recording, or adds its tables to the recording in `out`; returns it as read back, with new notices.
 
     Nothing is written of one that cannot be read; a table that is there is replaced where that is asked for alone. Rows
-    are checked in the order of the source and written in that of time. Raises UnusableInput.
+    are checked in the order of the source and written by time. Raises UnusableInput.
     """
     there = _read(out) if (out / RIG_FILE).is_file() else None
     if there is None and out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise UnusableInput(f"--out {out}: exists; expected a new folder, or a recording to add tables to")
-    twice = [name for name in folder.tables if there is not None and name in there.tables]
-    if twice and not replaced:
-        raise UnusableInput(f"--out {out}: has the table {twice[0]} already; expected another; --replace replaces it")
     known = {} if there is None else there.tables
+    if not replaced and (twice := [name for name in folder.tables if name in known]):
+        raise UnusableInput(f"--out {out}: has the table {twice[0]} already; expected another; --replace replaces it")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with beside(out, Path.mkdir) as scratch:
-            whole = replace(folder, tables=dict(known) | dict(folder.tables))
-            read = _written(whole, scratch / "recording", source)
-            if there is not None:
-                for name in folder.tables:
-                    for old in out.glob(f"{name}.*"):
-                        if old.name.endswith(SUFFIXES):
-                            old.unlink()
-                    (scratch / "recording" / f"{name}.parquet").replace(out / f"{name}.parquet")
-                if rig_text(folder.rig) != rig_text(there.rig):
-                    (scratch / "recording" / RIG_FILE).replace(out / RIG_FILE)
-                return replace(read, path=out, notices=tuple(x for x in read.notices if x not in there.notices))
-            if out.exists():
-                out.rmdir()
-            (scratch / "recording").rename(out)
+            new = scratch / "recording"
+            read = _written(replace(folder, tables=dict(known) | dict(folder.tables)), new, source)
+            if there is None:
+                if out.exists():
+                    out.rmdir()
+                new.rename(out)
+                return replace(read, path=out)
+            for name in folder.tables:
+                for suffix in SUFFIXES:
+                    (out / f"{name}{suffix}").unlink(missing_ok=True)
+                (new / f"{name}.parquet").replace(out / f"{name}.parquet")
+            if rig_text(folder.rig) != rig_text(there.rig):
+                (new / RIG_FILE).replace(out / RIG_FILE)
     except OSError as error:
         raise UnusableInput(f"--out {out}: cannot be written ({error.strerror}); check its permissions") from error
-    return replace(read, path=out)
+    return replace(read, path=out, notices=tuple(x for x in read.notices if x not in there.notices))
 
 
 _REFUSED = re.compile(r"imported (\w+)\.parquet(?:: row (\d+), column (\w+))?")
@@ -268,28 +264,26 @@ def _read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, 
     The columns may be `X`, `x_mm`, `x [mm]`, `X (m)`; ids are in the column `anchor` or `id`, or the only other one.
     """
     file, notices = read_rows(path, reading)
-    axes, others = dict[str, tuple[str, float]](), list[str]()
+    axes, others = dict[str, Expression](), list[str]()
     for name in file.frame.columns:
         match = re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", name.strip().lower())
         if match and (match[2] or "m") in UNITS["m"] and match[1] not in axes:
-            axes[match[1]] = (name, UNITS["m"][match[2] or "m"])
+            axes[match[1]] = parsed("x_m", f"`{name}` in {match[2] or 'm'}")
         else:
             others.append(name)
     ids = [n for n in others if n.lower() in ("anchor", "anchor_id", "id", "name")] or others
     if {*axes} != {*"xyz"} or not ids or (len(ids) > 1 and ids == others):
         found = listed(map(repr, file.frame.columns), 12)
-        raise UnusableInput(
-            f"--rig {path}: columns {found}; expected anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
-        )
-    places = [(numbers_of(file, name) * factor).alias(axis) for axis, (name, factor) in sorted(axes.items())]
-    table, anchors = pl.DataFrame([file.frame[ids[0]].cast(pl.String).str.strip_chars(), *places]), {}
-    for row, (anchor, *place) in enumerate(table.rows()):
+        expected = "anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
+        raise UnusableInput(f"--rig {path}: columns {found}; expected {expected}")
+    columns, anchors = [axes[axis].values(file, axis).to_list() for axis in "xyz"], dict[str, tuple[float, ...]]()
+    names = file.frame[ids[0]].cast(pl.String).str.strip_chars()
+    for row, (anchor, *place) in enumerate(zip(names, *columns, strict=True)):
         if not anchor or None in place or anchor in anchors:
-            raise UnusableInput(
-                f"--rig {file.location(row, ids[0])}: {anchor!r} at {place}; expected each id once, with x, y, z"
-            )
+            where = f"--rig {file.location(row, ids[0])}"
+            raise UnusableInput(f"{where}: {anchor!r} at {place}; expected each id once, with x, y, z")
         anchors[anchor] = tuple(place)
-    units = ", ".join(name for name, _ in axes.values())
+    units = ", ".join(axes[axis].sources[0] for axis in "xyz")
     return anchors, [f"{path}: {line}" for line in (*notices, f"ids are in column {ids[0]}, positions in {units}")]
 
 

@@ -7,8 +7,8 @@ import csv
 import json
 import re
 import zlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +20,18 @@ from trackwright.trackers.exchange.expressions import UNITS
 from trackwright.trackers.recordings.input_file import file_bytes, unpacked
 from trackwright.trackers.recordings.table_file import TableFile, read_table_file
 
-COMMENTS = ("#", "%", "//")
-"""Marks at the beginning of lines that are no rows."""
+MARKS = ";\t,|"
+"""Separators of cells, in the order in which they are looked for in a header."""
 
-_NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?")
+NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?")
+_COMMENT = r"^\s*(?:#|%|//)"
 _BOMS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-_MARKS = ";\t,|"
+_CELL = "\x1f"
+_UNITS = {unit.lower() for units in UNITS.values() for unit in units} | {"-", "°", "sec", "dbm", "db", "unit", "1", ""}
+_HEADER = "where it has no header: --header none (the columns are column1, column2 …); one further below: --header LINE"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Reading:
     """How the text of a table is read.
 
@@ -40,28 +43,24 @@ class Reading:
     separator: str | None = None
     decimal: str = "."
     thousands: str = ""
-    header: str = ""
+    header: str | int = ""
     skip: int = 0
-    missing: Sequence[str] = ()
+    missing: Sequence[str] = field(default_factory=list)
     encoding: str = ""
 
     def __post_init__(self) -> None:
         if self.separator is not None and len(self.separator) != 1:
-            raise UnusableInput(
-                f"--separator {self.separator!r}; expected one character, such as ';' or ' ' for blanks"
-            )
+            raise UnusableInput(f"--separator {self.separator!r}; expected one character, as ';' or ' ' for blanks")
         if self.decimal not in (".", ",") or self.thousands == self.decimal:
-            raise UnusableInput(
-                f"decimal {self.decimal!r}, thousands {self.thousands!r}; expected '.' or ',', and another"
-            )
-        if self.header not in ("", "none") and not re.fullmatch(r"[1-9]\d*", self.header):
+            marks = f"decimal {self.decimal!r}, thousands {self.thousands!r}"
+            raise UnusableInput(f"{marks}; expected '.' or ',', and another")
+        if not re.fullmatch(r"(?:[1-9]\d*|none)?", str(self.header)):
             raise UnusableInput(f"--header {self.header}: expected the number of its line, or none")
         try:
             codecs.lookup(self.encoding or "utf-8")
         except LookupError:
-            raise UnusableInput(
-                f"--encoding {self.encoding}: expected a name such as utf-8, cp1252 or utf-16"
-            ) from None
+            expected = "a name such as utf-8, cp1252 or utf-16"
+            raise UnusableInput(f"--encoding {self.encoding}: expected {expected}") from None
 
 
 def text_of(path: Path, encoding: str = "", errors: str = "strict") -> str:
@@ -83,7 +82,7 @@ def text_of(path: Path, encoding: str = "", errors: str = "strict") -> str:
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
 
 
-def read_rows(path: Path, reading: Reading) -> tuple[TableFile, list[str]]:
+def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
     """The columns of a table in text or Parquet, texts without marks of missing values, and notices.
 
     Columns without a name are `column1` and so on. Raises UnusableInput with the line.
@@ -91,162 +90,151 @@ def read_rows(path: Path, reading: Reading) -> tuple[TableFile, list[str]]:
     if path.name.lower().endswith(".parquet"):
         return read_table_file(path), []
     notices: list[str] = []
-    lines = text_of(path, reading.encoding).split("\n")
-    said = re.fullmatch(r"sep=(.)\s*", lines[0])
-    first = max(reading.skip, int(said is not None), int(reading.header) - 1 if reading.header.isdigit() else 0)
-    numbers = [n for n, line in enumerate(lines[first:], first + 1) if line.strip()]
-    comments = [n for n in numbers if lines[n - 1].lstrip().startswith(COMMENTS) and str(n) != reading.header]
-    numbers = sorted({*numbers} - {*comments})
-    if not numbers:
+    text = text_of(path, form.encoding)
+    said, header = re.match(r"sep=(.)[ \t]*(?:\n|$)", text), int(form.header) if str(form.header).isdigit() else 0
+    first = max(form.skip, int(said is not None), header - 1)
+    lines = pl.DataFrame({"text": text.split("\n")}).with_row_index("line", 1)[first:]
+    lines = lines.filter(pl.col("text").str.strip_chars() != "")
+    is_comment = pl.col("text").str.contains(_COMMENT) & (pl.col("line") != header)
+    comments, lines = lines.filter(is_comment), lines.filter(~is_comment)
+    if lines.is_empty():
         raise UnusableInput(f"{path}: has no rows, expected some below line {first}")
-    head = lines[numbers[0] - 1]
-    separator = reading.separator or (said[1] if said else _separator_of(head, reading.decimal))
-    if reading.separator is None and separator != ",":
+    at, head = lines.row(0)
+    separator = form.separator or (said[1] if said else _separator_of(head, form.decimal))
+    if form.separator is None and separator != ",":
         notices.append(f"cells are read as separated by {separator!r}; another mark: --separator")
-    names, header = _cells(head, separator), numbers[0]
-    above = [n for n in comments if n < header]
-    if reading.header == "none":
-        names, header = [], 0
-    elif any(map(_NUMBER.fullmatch, names)) and above:
-        named = _cells(lines[above[-1] - 1].lstrip().lstrip("#%/ "), separator)
-        if len(named) == len(names) and not any(map(_NUMBER.fullmatch, named)):
-            names, header = named, comments.pop(comments.index(above[-1]))
+    lines, mark = _with_plain_cells(path, lines, separator)
+    names = [] if form.header == "none" else [cell.strip() for cell in lines["text"][0].split(mark)]
+    above, begin = comments.filter(pl.col("line") < at), int(bool(names))
+    if any(map(NUMBER.fullmatch, names)) and not above.is_empty():
+        header, name_line = above.row(-1)
+        named = _cells(name_line.lstrip().lstrip("#%/ "), separator)
+        if len(named) == len(names) and not any(map(NUMBER.fullmatch, named)):
+            names, at, begin, comments = named, header, 0, comments.filter(pl.col("line") != header)
             notices.append(f"line {header} is the header; another: --header")
-    if len(names) > 1 and all(map(_NUMBER.fullmatch, names)):
-        raise UnusableInput(f"{path}: line {header} is {head[:60]!r}, without names of columns; {_HEADER}")
-    if comments:
-        notices.append(f"{counted(len(comments), 'line')} of comments left out: {listed(map(str, comments))}")
-    rows = _rows(path, lines, numbers[header == numbers[0] :], separator, len(names), header)
-    width = max((len(row) for _, row in rows), default=0) if not names else len(names)
-    if not names and (short := sum(len(row) < width for _, row in rows)):
+    if len(names) > 1 and all(map(NUMBER.fullmatch, names)):
+        raise UnusableInput(f"{path}: line {at} is {head[:60]!r}, without names of columns; {_HEADER}")
+    if not comments.is_empty():
+        notices.append(f"{counted(len(comments), 'line')} of comments left out: {listed(comments['line'])}")
+    rows = lines[begin:]
+    sizes = rows["text"].str.count_matches(mark, literal=True) + 1
+    width = len(names) or int(sizes.max() or 0)  # type: ignore[arg-type]
+    if names and not (odd := rows.filter(sizes != width)).is_empty():
+        _refuse_other_width(path, odd, mark, width, at)
+    if not names and (short := int((sizes < width).sum())):
         notices.append(f"{counted(short, 'row')} with fewer than {width} cells: the others are empty")
     names = [name or f"column{k}" for k, name in enumerate(names or [""] * width, 1)]
-    if repeated := [name for name in names if names.count(name) > 1]:
-        fix = f"rename one, or --header none --skip {header} calls them column1 to column{width}"
-        raise UnusableInput(f"{path}: column {repeated[0]!r} is duplicated in line {header}, expected once; {fix}")
-    if rows and header and _are_units(rows[0][1]):
-        units = listed((f"{name} {unit}" for name, unit in zip(names, rows[0][1], strict=True) if unit), 12)
-        notices.append(f"line {rows.pop(0)[0]} has units, left out: {units}; give them in --columns, as 'x_m=x in mm'")
-    if not rows:
-        raise UnusableInput(f"{path}: the table has no rows, expected at least one below line {header}")
-    columns = zip(*(row + [""] * (width - len(row)) for _, row in rows), strict=True)
-    frame = pl.DataFrame(dict(zip(names, columns, strict=True)), schema=dict.fromkeys(names, pl.String))
-    frame = _without(frame, reading.missing, notices)
-    return TableFile(path, frame, [n for n, _ in rows], reading.decimal, reading.thousands), notices
-
-
-_HEADER = "where it has no header: --header none (the columns are column1, column2 …); one further below: --header LINE"
+    if repeated := next((name for k, name in enumerate(names) if name in names[:k]), None):
+        fix = f"rename one, or --header none --skip {at} calls them column1 to column{width}"
+        raise UnusableInput(f"{path}: column {repeated!r} is duplicated in line {at}, expected once; {fix}")
+    cells = rows["text"].str.split_exact(mark, width - 1).struct.rename_fields(names).struct.unnest()
+    frame, numbers = cells.select(pl.all().fill_null("")), rows["line"]
+    if len(frame) and form.header != "none" and _are_units(frame.row(0)):
+        units = listed((f"{name} {unit}" for name, unit in zip(names, frame.row(0), strict=True) if unit), 12)
+        notices.append(f"line {numbers[0]} has units, left out: {units}; give them in --columns, as 'x_m=x in mm'")
+        frame, numbers = frame[1:], numbers[1:]
+    if frame.is_empty():
+        raise UnusableInput(f"{path}: the table has no rows, expected at least one below line {at}")
+    return TableFile(path, _without(frame, form, notices), numbers, form.decimal, form.thousands), notices
 
 
 def _separator_of(head: str, decimal: str) -> str:
     """The mark in the header: a comma goes first unless numbers have it, blanks are the last."""
-    marks = [mark for mark in _MARKS if mark in head]
-    return (
-        ","
-        if "," in marks and (decimal == "." or len(marks) == 1)
-        else next(iter(marks), " " if " " in head.strip() else ",")
-    )
+    marks = [mark for mark in MARKS if mark in head]
+    if "," in marks and (decimal == "." or len(marks) == 1):
+        return ","
+    return next(iter(marks), " " if " " in head.strip() else ",")
 
 
-def _cells(line: str, separator: str) -> list[str]:
-    line = line.replace("\t", " ").strip(" ") if separator == " " else line
-    return [
-        cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=separator == " "), [])
-    ]
+def _cells(line: str, mark: str) -> list[str]:
+    line = re.sub(r"\s+", " ", line).strip() if mark == " " else line
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=mark), [])]
 
 
-def _rows(
-    path: Path, lines: list[str], numbers: list[int], separator: str, width: int, header: int
-) -> list[tuple[int, list[str]]]:
-    """The cells of each line, with its number; a row of another length than the header is refused."""
-    blanks = separator == " "
-    given = (lines[n - 1].replace("\t", " ").strip(" ") if blanks else lines[n - 1] + "\n" for n in numbers)
-    reader, rows, before = (
-        csv.reader(given, delimiter=separator, skipinitialspace=blanks),
-        list[tuple[int, list[str]]](),
-        0,
-    )
+def _with_plain_cells(path: Path, lines: pl.DataFrame, separator: str) -> tuple[pl.DataFrame, str]:
+    """The lines with cells that a mark separates, and the mark; quoted cells lose their quotes."""
+    if separator == " ":
+        lines = lines.with_columns(pl.col("text").str.replace_all(r"[ \t]+", " ").str.strip_chars(" "))
+    if not lines["text"].str.contains('"', literal=True).any():
+        return lines, separator
+    reader, rows, before = csv.reader((f"{line}\n" for line in lines["text"]), delimiter=separator), [], 0
     try:
         for row in reader:
-            number, before = numbers[before], reader.line_num
-            if width and len(row) > width and not any(map(str.strip, row[width:])):
-                row = row[:width]
-            if width and len(row) != width:
-                if numbers[before - 1] > number:
-                    raise UnusableInput(f"{path}: line {number} has a quote that is not closed; close or remove it")
-                said = (
-                    f"line {number} has {counted(len(row), 'cell')}, expected {width} as in line {header}, the header"
-                )
-                raise UnusableInput(f"{path}: {said}; look for a truncated file or decimal commas; {_HEADER}")
-            rows.append((numbers[before - 1], row))
+            rows.append((lines["line"][reader.line_num - 1], _CELL.join(row), lines["line"][before]))
+            before = reader.line_num
     except csv.Error as error:
-        raise UnusableInput(f"{path}: line {numbers[before]} is not CSV ({error}); check the quotes") from error
-    return rows
+        raise UnusableInput(f"{path}: line {lines['line'][before]} is not CSV ({error}); check the quotes") from error
+    plain = pl.DataFrame(rows, {"line": pl.UInt32, "text": pl.String, "begun": pl.UInt32}, orient="row")
+    return plain, _CELL
 
 
-def _are_units(row: Sequence[str]) -> bool:
-    known = {unit.lower() for units in UNITS.values() for unit in units} | {"-", "°", "sec", "dbm", "db", "unit", "1"}
-    cells = [cell.strip().strip("[]()").lower() for cell in row]
-    return any(cell.isalpha() for cell in cells) and {*cells} <= known | {""}
+def _refuse_other_width(path: Path, rows: pl.DataFrame, mark: str, width: int, header: int) -> None:
+    """Raises UnusableInput for the first row of another width than the header, but for empty cells at its end."""
+    for line, text, *begun in rows.iter_rows():
+        cells = text.split(mark)
+        if len(cells) < width or any(map(str.strip, cells[width:])):
+            if begun and begun[0] < line:
+                raise UnusableInput(f"{path}: line {begun[0]} has a quote that is not closed; close or remove it")
+            said = f"line {line} has {counted(len(cells), 'cell')}, expected {width} as in line {header}, the header"
+            raise UnusableInput(f"{path}: {said}; look for a truncated file or decimal commas; {_HEADER}")
 
 
-def _without(frame: pl.DataFrame, missing: Sequence[str], notices: list[str]) -> pl.DataFrame:
+def _are_units(row: Iterable[str]) -> bool:
+    cells = {cell.strip().strip("[]()").lower() for cell in row}
+    return any(map(str.isalpha, cells)) and cells <= _UNITS
+
+
+def _without(frame: pl.DataFrame, form: Reading, notices: list[str]) -> pl.DataFrame:
     """The frame with empty cells where a mark of missing values stands."""
-    if not missing:
+    if not form.missing:
         return frame
-    marked = frame.select(pl.col(pl.String).str.strip_chars().is_in(list(missing)).sum()).sum_horizontal().sum()
-    notices.append(f"{counted(int(marked), 'cell')} with {listed(missing)} read as missing")
-    texts = pl.col(pl.String)
-    return frame.with_columns(
-        pl.when(texts.str.strip_chars().is_in(list(missing))).then(pl.lit("")).otherwise(texts).name.keep()
-    )
+    marked = pl.col(pl.String).str.strip_chars().is_in(list(form.missing))
+    count = frame.select(marked.sum()).sum_horizontal().sum()
+    notices.append(f"{counted(int(count), 'cell')} with {listed(form.missing)} read as missing")
+    return frame.with_columns(pl.when(marked).then(pl.lit("")).otherwise(pl.col(pl.String)).name.keep())
 
 
-def read_json(path: Path, reading: Reading, interval: float | None, skip: bool) -> tuple[TableFile, list[str]]:
+def read_json(path: Path, form: Reading, interval: float | None, skip: bool) -> tuple[TableFile, list[str]]:
     """The values of JSON lines by their paths, as `UWB.A1` or `links[].id`, a row for each element of lists in `[]`.
 
     What stands before the brace of a line is `time`; its words are `word1` and so on. Without any, `time` of line k is
     k times the `interval`, s. Raises UnusableInput with the line.
     """
-    text, rows, lines, bad, notices = (
-        text_of(path, reading.encoding),
-        list[dict[str, Any]](),
-        list[int](),
-        list[int](),
-        list[str](),
-    )
+    text, k = text_of(path, form.encoding), 0
+    rows, lines, bad, notices = list[dict[str, Any]](), list[int](), list[int](), list[str]()
+    numbered = list(enumerate(text.split("\n"), 1))
     if text.lstrip().startswith("["):
         try:
-            content = [(1, "", one) for one in json.loads(text)]
+            numbered = [(1, json.dumps(one)) for one in json.loads(text)]
         except ValueError as error:
             raise UnusableInput(f"{path}: is no JSON ({error}); expected a list, or an object in each line") from error
-    else:
-        content = []
-        for number, line in enumerate(text.split("\n"), 1):
-            if not line.strip() or line.startswith("#"):
-                continue
-            before, brace, rest = line.partition("{")
-            try:
-                content.append((number, before.strip(" \t,;|:[]->"), json.loads(brace + rest)))
-            except ValueError as error:
-                if not skip:
-                    fix = "expected one JSON object; --skip-bad-lines leaves such lines out"
-                    raise UnusableInput(f"{path}: line {number}: {line[:60]!r} ({error}); {fix}") from error
-                bad.append(number)
-    for k, (number, before, value) in enumerate(content):
-        words = {f"word{j}": word for j, word in enumerate(before.split(), 1)} if " " in before else {}
-        shared = {"time": before, **words} if before else {} if interval is None else {"time": repr(k * interval)}
+    for number, line in numbered:
+        if not line.strip() or line.startswith("#"):
+            continue
+        before, brace, rest = line.partition("{")
+        try:
+            value = json.loads(brace + rest)
+        except ValueError as error:
+            if not skip:
+                fix = "expected one JSON object; --skip-bad-lines leaves such lines out"
+                raise UnusableInput(f"{path}: line {number}: {line[:60]!r} ({error}); {fix}") from error
+            bad.append(number)
+            continue
+        before = before.strip(" \t,;|:[]->")
+        shared = {"time": before} if before else {} if interval is None else {"time": repr(k * interval)}
+        shared |= {f"word{j}": word for j, word in enumerate(before.split(), 1)} if " " in before else {}
         found = [shared | row for row in _json_rows(value, "")]
         rows += found
         lines += [number] * len(found)
+        k += 1
     if bad:
-        notices.append(f"{counted(len(bad), 'line')} could not be read, left out: {listed(map(str, bad))}")
-    if not rows:
+        notices.append(f"{counted(len(bad), 'line')} could not be read, left out: {listed(bad)}")
+    if not any(rows):
         raise UnusableInput(f"{path}: no values; expected an object in each line")
-    names = list(dict.fromkeys(name for row in rows for name in row))
+    names = dict.fromkeys(name for row in rows for name in row)
     columns = {name: [_json_text(row.get(name)) for row in rows] for name in names}
-    frame = _without(pl.DataFrame(columns, schema=dict.fromkeys(names, pl.String)), reading.missing, notices)
-    return TableFile(path, frame, lines, reading.decimal, reading.thousands), notices
+    frame = _without(pl.DataFrame(columns, schema=dict.fromkeys(names, pl.String)), form, notices)
+    return TableFile(path, frame, lines, form.decimal, form.thousands), notices
 
 
 def _json_text(value: Any) -> str | None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import polars as pl
@@ -16,7 +17,7 @@ from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.scoring import covariances
 from trackwright.trackers.exchange.formats import FORMATS, beginning_of
-from trackwright.trackers.exchange.mapping import Asked, Source, numbers_of
+from trackwright.trackers.exchange.mapping import Asked, Source, refuse_lost_digits
 from trackwright.trackers.exchange.source_rows import Reading, read_rows
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.columns import float_column
@@ -27,14 +28,13 @@ from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE
 AXES = ("x_m", "y_m", "z_m")
 Kind = Literal["tum", "kitti", "euroc"]
 
-_COLUMNS = {
-    "tum": "8 numbers: time in s, x, y, z in m, quaternion x, y, z, w, separated by blanks",
-    "kitti": "12 numbers: the upper three rows of the pose matrix, separated by blanks",
-    "euroc": "at least 8 numbers: time in ns, x, y, z in m, quaternion w, x, y, z, separated by commas",
+_FORMS: dict[str, tuple[int, str, str]] = {
+    "tum": (8, " ", "8 numbers: time in s, x, y, z in m, quaternion x, y, z, w, separated by blanks"),
+    "kitti": (12, " ", "12 numbers: the upper three rows of the pose matrix, separated by blanks"),
+    "euroc": (8, ",", "at least 8 numbers: time in ns, x, y, z in m, quaternion w, x, y, z, separated by commas"),
 }
-_EUROC_HEADER = (
-    "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []\n"
-)
+"""By the name of a format: numbers of a line, what separates them, and both in words."""
+
 _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 _STDS = tuple(f"std_{axis}" for axis in AXES)
 _COVARIANCES = (("cov_xy_m2", 0, 1), ("cov_xz_m2", 0, 2), ("cov_yz_m2", 1, 2))
@@ -193,77 +193,56 @@ class Similarity:
         return stds | {name: covariance[:, i, j] for name, i, j in _COVARIANCES}
 
 
-def kind_of(path: Path | str) -> Kind:
-    """The format of a trajectory file by its name, or else by its first line of numbers.
-
-    Raises UnusableInput for a file that can't be read and for one of no known format.
-    """
-    path = Path(path)
-    suffix = path.suffix.lower().removeprefix(".")
-    begin = "" if suffix in get_args(Kind) else beginning_of(path)
-    for kind in get_args(Kind):
-        begins = FORMATS[kind].begins
-        if kind == suffix or (begins is not None and begins.search(begin)):
-            return kind  # type: ignore[no-any-return]
-    raise UnusableInput(
-        f"{path}: no trajectory format is recognised; expected lines of {'; or '.join(_COLUMNS.values())}; "
-        "name the format, or bring a table into this form by `trackwright import`"
-    )
-
-
-def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | str | None = None) -> PoseTrajectory:
+def read_trajectory(path: Path | str, kind: Kind | None = None) -> PoseTrajectory:
     """The poses in a TUM, KITTI or EuRoC file, sorted by time; lines that begin with # are comments.
 
-    `kind`: the format, by default `kind_of` the file. `times`: of KITTI poses, a file with one time, s, per line;
-    without it the rows are counted as seconds, with a notice. A file whose attitudes are all the identity has none.
-    Raises UnusableInput with file and line.
+    `kind`: the format, by default by the file's name or first lines. The rows of KITTI poses, which have no times,
+    are counted as seconds. A file whose attitudes are all the identity has none. Raises UnusableInput with file and
+    line.
     """
     path = Path(path)
-    kind = kind or kind_of(path)
-    if kind not in get_args(Kind):
-        raise UnusableInput(f"kind = {kind!r}; expected one of {', '.join(get_args(Kind))}")
-    numbers = _numbers(path, kind)
-    notices = []
-    if kind == "kitti":
+    ending = path.suffix.lower().removeprefix(".")
+    begin = "" if kind or ending in _FORMS else beginning_of(path)
+    known: str = kind or next(
+        (k for k in _FORMS if k == ending or re.search(FORMATS[k].begins, begin, re.MULTILINE)), ""
+    )
+    if known not in _FORMS:
+        forms = "; or ".join(words for *_, words in _FORMS.values())
+        raise UnusableInput(
+            f"{path}: no trajectory format is recognised; expected lines of {forms}; name the format, or bring a table "
+            "into this form by `trackwright import`"
+        )
+    numbers, notices = _numbers(path, known), list[str]()
+    if known == "kitti":
         matrices = numbers.reshape(-1, 3, 4)
-        stamps = np.arange(len(numbers), dtype=float) if times is None else _stamps(Path(times), len(numbers))
-        if times is None:
-            notices.append("KITTI poses have no times; the rows are counted as seconds; give their times in a file")
-        _check_rotations(path, matrices[:, :, :3])
-        positions, quaternions = matrices[:, :, 3], quaternions_of(matrices[:, :, :3])
+        error = np.abs(matrices[:, :, :3] @ matrices[:, :, :3].transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        wrong = (error > 1e-3) | (np.linalg.det(matrices[:, :, :3]) < 0)
+        if wrong.any():
+            row = int(wrong.argmax()) + 1
+            raise UnusableInput(f"{path}: pose {row}: its first three columns are no rotation; expected KITTI poses")
+        stamps, positions, quaternions = np.arange(len(numbers), dtype=float), matrices[:, :, 3], matrices[:, :, :3]
+        quaternions = quaternions_of(quaternions)
+        notices.append("KITTI poses have no times; the rows are counted as seconds; a TUM file or a table has times")
     else:
-        stamps, positions = numbers[:, 0], numbers[:, 1:4]
-        quaternions = np.roll(numbers[:, 4:8], 1, axis=1) if kind == "tum" else numbers[:, 4:8]
-        if kind == "euroc":
-            stamps = stamps / 1e9
+        stamps, positions = numbers[:, 0] / (1e9 if known == "euroc" else 1.0), numbers[:, 1:4]
+        quaternions = np.roll(numbers[:, 4:8], 1, axis=1) if known == "tum" else numbers[:, 4:8]
     stamps, wraps = unwrapped_times(stamps)
-    notices += wraps
-    refuse_lost_digits(path, stamps)
-    if (np.diff(stamps) < 0).any():
-        at = restarted_at(stamps)
-        if at is not None:
-            raise UnusableInput(
-                f"{path}: pose {at + 1}: {stamps[at]:.3f} s after {stamps[:at].max():.3f} s: the clock went back; "
-                "expected times that increase; make the poses before and after it two files"
-            )
-        back, most = int((np.diff(stamps) < 0).sum()), -float(np.diff(stamps).min())
-        notices.append(f"rows earlier than the previous row: {back}, by {most:.6g} s at most; sorted")
+    refuse_lost_digits(f"{path}", pl.DataFrame({"t_s": stamps, **dict(zip(AXES, positions.T, strict=True))}))
+    steps = np.diff(stamps)
+    if (at := restarted_at(stamps)) is not None:
+        raise UnusableInput(
+            f"{path}: pose {at + 1}: {stamps[at]:.3f} s after {stamps[:at].max():.3f} s: the clock went back; "
+            "expected times that increase; make the poses before and after it two files"
+        )
+    if (steps < 0).any():
+        back = f"{int((steps < 0).sum())}, by {-float(steps.min()):.6g} s at most"
+        wraps.append(f"rows earlier than the previous row: {back}; sorted")
         order = np.argsort(stamps, kind="stable")
         stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
-    attitude = None if (quaternions == _IDENTITY).all() else quaternions
-    if attitude is None:
-        notices.append("every quaternion is the identity; read as positions without attitude")
-    return PoseTrajectory(stamps, positions, attitude, path.name, tuple(notices))
-
-
-def refuse_lost_digits(path: Path, stamps: np.ndarray) -> None:
-    """Raises UnusableInput where most of the poses have the time, s, of another."""
-    if 2 * (different := len(np.unique(stamps))) < len(stamps):
-        found = "one time" if different == 1 else f"{different} times"
-        raise UnusableInput(
-            f"{path}: {len(stamps)} poses, {found}: the stamps have lost their digits; expected a time for each pose; "
-            "write them with all digits"
-        )
+    if no_attitude := bool((quaternions == _IDENTITY).all()):
+        wraps.append("every quaternion is the identity; read as positions without attitude")
+    attitude = None if no_attitude else quaternions
+    return PoseTrajectory(stamps, positions, attitude, path.name, (*notices, *wraps))
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
@@ -273,91 +252,63 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
         if mapping.table not in ("truth", "fixes"):
             raise UnusableInput(f"{path}: poses are a table truth or fixes, not {mapping.table}; give --table truth")
         if mapping.columns:
-            raise UnusableInput(
-                f"{path}: {listed(mapping.columns)}: the columns of {name} are fixed; leave --columns out"
-            )
+            fixed = f"{listed(mapping.columns)}: the columns of {name} are fixed; leave --columns out"
+            raise UnusableInput(f"{path}: {fixed}")
         if mapping.tag is None:
             raise UnusableInput(f"{path}: {name} files do not name the tag; give it: --tag ID")
         poses = read_trajectory(path, name)  # type: ignore[arg-type]
         table = poses.to_polars(mapping.tag)
-        source.add(
-            mapping.table, table if mapping.table == "truth" else table.select("t_s", "tag", *AXES), poses.notices
-        )
+        table = table if mapping.table == "truth" else table.select("t_s", "tag", *AXES)
+        source.add(mapping.table, table, poses.notices)
     return source
 
 
-def write_trajectory(trajectory: PoseTrajectory, path: Path | str, kind: Kind | None = None) -> Path:
+def write_trajectory(trajectory: PoseTrajectory, path: Path | str, kind: Literal["tum", "kitti"] | None = None) -> Path:
     """Writes the poses with all digits, and returns the path; the format is by default the ending of the name.
 
-    The times of KITTI poses go to a second file, NAME.times.txt. An unknown height is written as 0, an unknown attitude
-    as the identity: none of these formats can leave them out. Raises UnusableInput for an unknown format and if the
-    file cannot be written.
+    KITTI poses have no times: these are in a second file, one a line. An unknown height is written as 0, an unknown
+    attitude as the identity. Raises UnusableInput where the format is not clear.
     """
     path = Path(path)
     kind = kind or path.suffix.lower().removeprefix(".")  # type: ignore[assignment]
-    if kind not in get_args(Kind):
-        raise UnusableInput(f"{path}: the format is not clear from the name; expected {', '.join(get_args(Kind))}")
-    positions = np.nan_to_num(trajectory.positions)
     given = trajectory.quaternions
     quaternions = np.tile(_IDENTITY, (len(trajectory), 1)) if given is None else given
+    positions = np.nan_to_num(trajectory.positions)
     if kind == "tum":
         rows = np.column_stack([trajectory.times, positions, np.roll(quaternions, -1, axis=1)])
-        text = _text(rows, " ")
     elif kind == "kitti":
         stamps = "".join(f"{time!r}\n" for time in trajectory.times.tolist())
         atomic_write(written_files(path, kind)[1], lambda target: target.write_text(stamps, encoding="utf-8"))
-        poses = np.concatenate([rotation_matrices(quaternions), positions[:, :, None]], axis=2)
-        text = _text(poses.reshape(-1, 12), " ")
+        rows = np.concatenate([rotation_matrices(quaternions), positions[:, :, None]], axis=2).reshape(-1, 12)
     else:
-        nanoseconds = [str(round(time * 1e9)) for time in trajectory.times.tolist()]
-        lines = _text(np.column_stack([positions, quaternions]), ",").splitlines()
-        text = _EUROC_HEADER + "".join(f"{t},{line}\n" for t, line in zip(nanoseconds, lines, strict=True))
+        raise UnusableInput(f"{path}: the format is not clear from the name; expected tum or kitti")
+    text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
     return atomic_write(path, lambda target: target.write_text(text, encoding="utf-8"))
 
 
-def written_files(path: Path, kind: Kind) -> list[Path]:
-    """The files that `write_trajectory` writes: the path, and of KITTI poses that of their times."""
+def written_files(path: Path, kind: str) -> list[Path]:
+    """The files that `write_trajectory` writes: the path, and for KITTI poses the file of their times."""
     return [path, path.with_suffix(".times.txt")] if kind == "kitti" else [path]
 
 
-def _text(rows: np.ndarray, separator: str) -> str:
-    """The rows as lines of numbers with all their digits."""
-    return "".join(separator.join(map(repr, row)) + "\n" for row in rows.tolist())
-
-
-def _numbers(path: Path, kind: Kind) -> np.ndarray:
+def _numbers(path: Path, kind: str) -> np.ndarray:
     """The numbers of all rows; raises UnusableInput with the line of the first that is not `kind`."""
-    wanted = 12 if kind == "kitti" else 8
-    file, _ = read_rows(path, Reading("," if kind == "euroc" else " ", header="none"))
-    numbers = file.frame.select(pl.all().str.strip_chars().cast(pl.Float64, strict=False)).to_numpy()
-    count = file.frame.select(pl.sum_horizontal(pl.all().str.strip_chars() != "")).to_series().to_numpy()
+    wanted, separator, words = _FORMS[kind]
+    file, _ = read_rows(path, Reading(separator=separator, header="none"))
+    cells = file.frame.select(pl.all().str.strip_chars())
+    numbers = cells.select(pl.all().cast(pl.Float64, strict=False)).to_numpy()[:, :wanted]
+    count = cells.select(pl.sum_horizontal(pl.all() != "")).to_series().to_numpy()
     fitting = (count >= wanted) if kind == "euroc" else (count == wanted)
-    usable = fitting & np.isfinite(numbers[:, :wanted]).all(axis=1)
+    usable = fitting & np.isfinite(numbers).all(axis=1)
     if usable.all():
-        return numbers[:, :wanted]
+        return numbers
     row = int(usable.argmin())
-    cells, where = file.frame.row(row), f"{path}: line {(file.lines or ())[row]}"
+    line, texts = file.lines[row], cells.row(row)  # type: ignore[index]
     if not fitting[row]:
         other = " " if kind == "euroc" else ","
-        marks = f"; the separator seems to be {other!r}" if any(other in cell.strip() for cell in cells) else ""
-        raise UnusableInput(f"{where} has {counted(int(count[row]), 'number')}; expected {_COLUMNS[kind]}{marks}")
-    column = int(np.isfinite(numbers[row, :wanted]).argmin())
-    point = "; decimals have a point" * ("," in cells[column])
-    found = f"{where}, column {column + 1}: {cells[column][:40]!r}"
-    raise UnusableInput(f"{found}; expected a finite number; a line has {_COLUMNS[kind]}{point}")
-
-
-def _stamps(path: Path, poses: int) -> np.ndarray:
-    file, _ = read_rows(path, Reading(header="none"))
-    times = numbers_of(file, file.frame.columns[0])
-    if len(times) != poses or times.has_nulls():
-        raise UnusableInput(f"{path}: {len(times)} times for {poses} poses; expected as many, in s")
-    return times.to_numpy()
-
-
-def _check_rotations(path: Path, matrices: np.ndarray) -> None:
-    error = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    wrong = (error > 1e-3) | (np.linalg.det(matrices) < 0)
-    if wrong.any():
-        row = int(wrong.argmax())
-        raise UnusableInput(f"{path}: pose {row + 1}: its first three columns are no rotation; expected KITTI poses")
+        marks = f"; the separator seems to be {other!r}" if any(other in text for text in texts) else ""
+        raise UnusableInput(f"{path}: line {line} has {counted(int(count[row]), 'number')}; expected {words}{marks}")
+    column = int(np.isfinite(numbers[row]).argmin())
+    found = f"{path}: line {line}, column {column + 1}: {texts[column][:40]!r}"
+    point = "; decimals have a point" * ("," in texts[column])
+    raise UnusableInput(f"{found}; expected a finite number; a line has {words}{point}")

@@ -1,9 +1,10 @@
-"""The frame and the clock of an imported truth brought over to those of a recording: as given, or as readings tell."""
+"""The frame and the clock of an imported truth brought over to a recording's: as given, or as readings tell."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -64,6 +65,31 @@ def parsed_placement(text: str) -> Placement:
             "seconds added to the times"
         )
     return Placement(*numbers)
+
+
+def with_truth_moved(
+    imported: RecordingFolder, recording: RecordingFolder, transform: str | None, flat: bool
+) -> tuple[RecordingFolder, list[str]]:
+    """The imported tables with the truth moved by `transform`, or as readings fit it, and notices.
+
+    `recording`: that to which they are added. `flat`: without a shift in z. Raises UnusableInput.
+    """
+    truth = imported.tables.get("truth")
+    if truth is None:
+        raise UnusableInput("--transform and --align-truth: move a truth; expected --table truth")
+    notices = []
+    if transform is not None:
+        placement = parsed_placement(transform)
+    else:
+        ordered = dict(recording.tables) | {"truth": truth.sort("t_s", maintain_order=True)}
+        level, angle = leaning(replace(recording, tables=ordered))
+        if angle:
+            words = f"truth levelled, which leaned by {angle:.0f}° against the gravity that the IMU measures; then"
+            notices, truth = [words], level.table(truth)
+        ordered["truth"] = truth.sort("t_s", maintain_order=True)
+        placement, words = found_placement(replace(recording, tables=ordered), flat)
+        notices.append(f"truth moved by --transform {placement}: {words}")
+    return replace(imported, tables=dict(imported.tables) | {"truth": placement.of_table(truth)}), notices
 
 
 def leaning(recording: RecordingFolder) -> tuple[Similarity, float]:

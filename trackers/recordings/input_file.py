@@ -14,11 +14,13 @@ import tomllib
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
 from trackwright.trackers.core.errors import UnusableInput
+
+T = TypeVar("T")
 
 LARGEST = 2**31
 """Bytes of the largest file that is read, packed or unpacked: some 50 million rows of a table."""
@@ -119,6 +121,30 @@ def read_toml(path: Path, expected: str) -> dict[str, Any]:
         raise UnusableInput(
             f"{path}: is not valid TOML: {reason}; expected {expected}; write texts in quotes and lists in brackets"
         ) from error
+
+
+def read_model(path: Path, model: type[T], expected: str) -> T:
+    """The content of a TOML file as a dataclass, whose fields are its schema; raises UnusableInput with the key.
+
+    `expected`: the content in words.
+    """
+    # Few commands read such a file, and the import takes a tenth of a second.
+    from pydantic import TypeAdapter, ValidationError
+
+    content = read_toml(path, expected)
+    try:
+        return TypeAdapter(model).validate_python(content)
+    except ValidationError as problem:
+        error = problem.errors(include_url=False)[0]
+    place = "".join(
+        f" {part + 1}" if isinstance(part, int) else f".{part}" for part in error["loc"] if part != "[key]"
+    )[1:]
+    if "error" in error.get("ctx", {}):
+        raise UnusableInput(f"{path}: {place + ': ' if place else ''}{error['ctx']['error']}")
+    said = {"missing": "is missing", "unexpected_keyword_argument": "is no key of it"}
+    expects = error["msg"].replace("Input should be", "expected").replace(" or an instance of", " as of")
+    found = said.get(error["type"], f"= {repr(error['input'])[:60]}, {expects}")
+    raise UnusableInput(f"{path}: {place} {found}; {path.name} has {expected}")
 
 
 def _given_twice(text: str, reason: str) -> str:

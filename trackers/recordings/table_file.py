@@ -55,7 +55,7 @@ class TableFile:
 
     path: Path
     frame: pl.DataFrame
-    lines: Sequence[int] | None = None
+    lines: Sequence[int] | pl.Series | None = None
     decimal: str = "."
     thousands: str = ""
 

@@ -16,6 +16,7 @@ from trackwright.trackers.exchange.truth_frame import Placement, found_placement
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 RIG = 'format = 1\nname = "hall 3"\n[anchors]\nA1 = [0.0, 0.0, 2.0]\nA2 = [6.0, 0.0, 2.5]\n0x0F = [0.0, 5.0, 2.2]\n'
+WIDE = ("t_s=t", "range_m[A1]=d1", "range_m[A2]=d2")
 CSV = ("--table", "ranges", "--columns", "t_s=stamp*0.001", "range_m=distance in mm", "anchor=id", "--tag", "T1")
 
 
@@ -46,18 +47,6 @@ def test_a_csv_log_and_a_trajectory_become_one_recording(there):
     assert_refused_last(trackwright("import", "log.csv", *CSV, "--out", "hall"), "has the table ranges already")
 
 
-def test_other_separators_and_mappings_from_a_file(there):
-    text = (there / "log.csv").read_text().replace(",", ";")
-    (there / "log.csv").write_text(text)
-    (there / "map.toml").write_text(
-        '[[tables]]\ntable = "ranges"\nseparator = ";"\n'
-        'columns = { t_s = "stamp in ms", range_m = "distance in mm", anchor = "id" }\n'
-    )
-    said = trackwright("import", "log.csv", "--mapping", "map.toml", "--tag", "T1", "--rig", "rig.toml", "--out", "a")
-    assert said.code == 0, said.err
-    assert len(pl.read_parquet("a/ranges.parquet")) == 60
-
-
 def test_a_log_of_a_kit_brings_its_anchors(there):
     line = "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51 111C[5.00,0.00,2.25]=3.18 est[2.57,1.98,1.68,100]"
     (there / "tag.log").write_text("".join(f"12:00:0{k}.5 {line}\n" for k in range(5)))
@@ -76,16 +65,6 @@ def test_ranges_to_anchors_without_positions_are_imported_for_a_survey_where_the
     assert said.out.endswith("next: trackwright survey site --out SITE/rig.toml\n")
     assert read_recording(there / "site", placed=False).rig.tags["T1"].height == 0.5
     assert_refused_last(trackwright("track", "site", "--out", "tracks"), "find them by `trackwright survey`")
-
-
-def test_a_log_in_milliseconds_takes_a_unit_and_no_other_column(there):
-    line = "POS,2.57,2.00,1.67,97"
-    (there / "tag.log").write_text(f"1500 {line}\n2500 {line}\n")
-    said = trackwright("import", "tag.log", "--tag", "C5", "--columns", "t_s=time in ms", "--out", "kit")
-    assert said.code == 0, said.err
-    assert pl.read_parquet("kit/fixes.parquet")["t_s"].to_list() == [1.5, 2.5]
-    for arguments, words in ((("--table", "ranges"), "leave --table"), (("--columns", "x_m=time"), "has one column")):
-        assert_refused_last(trackwright("import", "tag.log", "--tag", "C5", *arguments, "--out", "new"), words)
 
 
 @pytest.mark.parametrize(
@@ -113,12 +92,36 @@ def test_what_is_not_understood_is_refused_and_nothing_is_written(there, source,
     assert not list(there.glob(".*"))
 
 
-def test_a_bad_value_is_named_by_the_line_of_its_source(there):
-    lines = (there / "log.csv").read_text().splitlines()
-    lines[7] = lines[7].replace(",", ",x", 2)
-    (there / "log.csv").write_text("\n".join(lines) + "\n")
-    said = trackwright("import", "log.csv", *CSV, "--rig", "rig.toml", "--out", "new")
-    assert_refused_last(said, "log.csv: row 7 (line 8), column distance", "expected a number")
+def test_a_refused_value_is_named_by_line_and_column_of_the_users_file_in_any_part(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "anchors.csv").write_text("id;X_mm;Y_mm;Z_mm\nA1;0;0;2500\nA2;10000;0;400\n")
+    (tmp_path / "log.csv").write_text("# x\nt,d1,d2,s\n0,1.5,2.5,1\n0.1,,9,0\n")
+    columns = ("--columns", *WIDE, "range_std_m=s", "--tag", "T", "--rig", "anchors.csv", "--out", "hall")
+    refused = trackwright("import", "log.csv", "--table", "ranges", *columns)
+    assert_refused_last(refused, "log.csv: row 2 (line 4), column s: 0, expected a standard deviation above zero")
+    assert not (tmp_path / "hall").exists()
+
+
+@pytest.mark.parametrize("given", ["anchors.csv", "site.toml"])
+def test_a_truth_may_come_first_and_a_table_is_replaced_where_that_is_asked_for(tmp_path, monkeypatch, given):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "anchors.csv").write_text("id;X_mm;Y_mm;Z_mm\nA1;0;0;2500\nA2;10000;0;400\n")
+    (tmp_path / "site.toml").write_text("format = 1\n[anchors]\nA1 = [0.0, 0.0, 2.5]\nA2 = [10.0, 0.0, 0.4]\n")
+    (tmp_path / "truth.tum").write_text("".join(f"0.{k} {k} 0 1 0 0 0 1\n" for k in range(9)))
+    (tmp_path / "log.csv").write_text("t,d1,d2\n0,1.5,2.5\n0.1,1.6,1.5\n")
+    assert trackwright("import", "truth.tum", "--table", "truth", "--tag", "T", "--out", "hall").code == 0
+    with (tmp_path / "hall" / "rig.toml").open("a") as rig:
+        rig.write("\n[tags.T]\nheight_m = 1.2\n")
+    ranges = ("import", "log.csv", "--table", "ranges", "--tag", "T", "--out", "hall", "--columns", *WIDE)
+    said = trackwright(*ranges, "--rig", given)
+    assert said.code == 0, said.err
+    filled = read_recording(tmp_path / "hall").rig
+    assert (filled.anchors["A2"].tolist(), filled.tags["T"].height) == ([10.0, 0.0, 0.4], 1.2)
+    (tmp_path / "log.csv").write_text("t,d1,d2\n0,7,2.5\n")
+    assert_refused_last(trackwright(*ranges), "has the table ranges already", "--replace")
+    assert trackwright(*ranges, "--replace").code == 0
+    assert pl.read_parquet("hall/ranges.parquet")["range_m"].to_list() == [7.0, 2.5]
+    assert set(read_recording(tmp_path / "hall").tables) == {"ranges", "truth"}
 
 
 def test_one_origin_moves_all_tables_of_an_import(there):
@@ -171,34 +174,6 @@ def test_a_clock_that_went_back_is_refused_at_import_before_rows_are_sorted(ther
     assert_refused_last(
         trackwright("import", "log.csv", *CSV, "--rig", "rig.toml", "--out", "new"), "the clock went back"
     )
-
-
-def test_decimal_commas_are_read_and_named_where_they_are_not_asked_for(there):
-    lines = ["Zeit;d1;d2", *(f"{0.1 * k:.1f};{2 + 0.5 * k:.1f};3,25".replace(".", ",") for k in range(5))]
-    (there / "wide.csv").write_text("\n".join(lines) + "\n")
-    columns = ("--table", "ranges", "--columns", "t_s=Zeit", "range_m[A1]=d1", "range_m[A2]=d2", "--tag", "T")
-    to = ("--rig", "rig.toml", "--out", "new")
-    refused = trackwright("import", "wide.csv", *columns, *to)
-    assert_refused_last(refused, "row 1 (line 2), column Zeit: '0,0'; expected a number", "--decimal ,")
-    said = trackwright("import", "wide.csv", *columns, "--decimal", ",", *to)
-    assert "separated by ';'" in said.err
-    table = pl.read_parquet("new/ranges.parquet").sort("anchor", "t_s")
-    assert table["range_m"].to_list() == [2.0, 2.5, 3.0, 3.5, 4.0, *[3.25] * 5]
-    (there / "wide.csv").write_text("Zeit;d1;d2\n0,0;1.234;3,1\n")
-    # With decimal commas a point groups thousands: 1.234 is not 1,234.
-    assert_refused_last(trackwright("import", "wide.csv", *columns, "--decimal", ",", "--out", "other"), "'1.234'")
-
-
-def test_a_date_without_its_unit_and_a_cut_line_of_a_log_are_named(there):
-    (there / "log.csv").write_text("stamp,id,distance\n2026-05-04T14:13:20.26,A1,2710\n")
-    columns = [word.replace("stamp*0.001", "stamp") for word in CSV]
-    assert_refused_last(
-        trackwright("import", "log.csv", *columns, "--out", "new"), "looks like a date", "'t_s=stamp in iso'"
-    )
-    line = "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51"
-    (there / "tag.log").write_text(f"0.1 {line}\n0.2 {line}\n0.3 {line[:40]}\n")
-    cut = trackwright("import", "tag.log", "--tag", "C5", "--out", "new")
-    assert_refused_last(cut, "line 3", "a line of les, such as '1151[", "it is the last line, and looks cut off")
 
 
 @pytest.fixture

@@ -1,0 +1,375 @@
+"""Files as people have them: each against the rows that were written into it, and each mistake with its words."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.exchange.estimates import read_estimates
+from trackwright.trackers.exchange.expressions import columns_of
+from trackwright.trackers.exchange.formats import format_of
+from trackwright.trackers.exchange.imported import import_frames, read_source
+from trackwright.trackers.exchange.mapping import ORIGIN, Asked, TableMapping, read_mapping
+from trackwright.trackers.exchange.trajectories import read_trajectory
+from trackwright.trackers.recordings.kinds import layout
+
+RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7": np.array([0.0, 4, 2])})
+WIDE = ("t_s=t", "range_m[A1]=d1", "range_m[A2]=d2")
+ROWS = [(0.0, "T", "A1", 1.5), (0.0, "T", "A2", 2.5), (0.1, "T", "A1", 1.6), (0.1, "T", "A2", 1234.5)]
+BODY = "0,1.5,2.5\n0.1,1.6,1234.5\n"
+NOON = datetime(2026, 5, 4, 14, 13, 20, tzinfo=UTC).timestamp()
+
+
+def _read(path, columns=WIDE, table="ranges", tag="T", interval=None, leave=False, **how):
+    """The rows of a file by table, and what was noticed."""
+    mapping = TableMapping(table=table, columns=columns_of(columns), tag=tag, **how)
+    source = read_source(path, format_of(path), Asked([mapping], interval, leave))
+    return {n: t.drop(ORIGIN, strict=False).rows() for n, t in source.tables.items()}, " ".join(source.notices)
+
+
+def _column(*numbers):
+    return ("t_s=column1", *(f"range_m[A{k}]=column{n}" for k, n in enumerate(numbers, 1)))
+
+
+@pytest.mark.parametrize(
+    ("text", "how", "columns", "said"),
+    [
+        (BODY, {"header": "none"}, _column(2, 3), ""),
+        ("0,9,1.5,2.5\n0.1,9,1.6,1234.5,7\n", {"header": "none"}, _column(3, 4), "1 row with fewer than 5 cells"),
+        (f"log of 5 May\n\nt,d1,d2\n{BODY}", {"header": "3"}, WIDE, ""),
+        (f"a,b\nc\nt,d1,d2\n{BODY}", {"skip": 2}, WIDE, ""),
+        ("# UWB, 6\n# v2\n\nt,d1,d2\n0,1.5,2.5\n# lost\n0.1,1.6,1234.5\n", {}, WIDE, "3 lines of comments left out: 1, 2, 6"),
+        (f"# t,d1,d2\n{BODY}", {}, WIDE, "line 1 is the header"),
+        ('# "t",d1,d2\n"0",1.5,2.5\n0.1,1.6,1234.5\n', {}, WIDE, "line 1 is the header"),
+        (f"%t,d1,d2\n{BODY}", {}, ("t_s=%t", *WIDE[1:]), "line 1 is the header"),
+        (f"t,d1,d2\ns,[m],(m)\n{BODY}", {}, WIDE, "line 2 has units, left out: t s, d1 [m], d2 (m)"),
+        ("\td1\td2\n0\t1.5\t2.5\n0.1\t1.6\t1234.5\n", {}, ("t_s=column1", *WIDE[1:]), r"separated by '\t'"),
+        ("sep=;\nt;d1;d2\n0;1,5;2,5\n0,1;1,6;1234,5\n", {"decimal": ","}, WIDE, "separated by ';'"),
+        ("  t   d1  d2\n 0  1.5   2.5 \n0.1   1.6  1234.5\n", {}, WIDE, "separated by ' '"),
+        ("t;d1;d2\n0;1.5;2.5\n0.1;1.6;1,234.5\n", {"thousands": ","}, WIDE, ""),
+        ('t,d1,d2,say\n0,"1.5",2.5,"a, b\nc"\n0.1,1.6,"1\'234.5",\n', {"thousands": "'"}, WIDE, "columns not used: say"),
+        ('t,d1,d2,"a\nb"\n0,1.5,2.5,\n0.1,1.6,1234.5,\n', {}, WIDE, "columns not used: a"),
+        ("t;d1;d2\n0;1,5;2,5\n0,1;1,6;1.234,5\n", {"thousands": ".", "decimal": ","}, WIDE, ""),
+        ("t,d1,d2,d3\n0,1.5,2.5,N/A\n0.1,1.6,1234.5,-999\n", {"missing": ["N/A", "-999"]}, (*WIDE, "range_m[A3]=d3"),
+         "2 cells with N/A, -999 read as missing"),
+        ("t,d1,d2\n0,1.5,2.5,\n0.1,1.6,1234.5,\n", {}, WIDE, ""),
+        ("t,d1,d2\r0,1.5,2.5\r\n0.1,1.6,1234.5".encode("utf-16"), {}, WIDE, ""),
+        ("t,d1,d2\n0,1.5,2.5\n0.1,1.6,1234.5".encode("utf-16-le"), {"encoding": "utf-16-le"}, WIDE, ""),
+        ("t;Länge;d2\n0;1.5;2.5\n0.1;1.6;1234.5\n".encode("cp1252"), {"encoding": "cp1252"}, ("t_s=t", "range_m[A1]=Länge", WIDE[2]), ""),
+        ("t\td1\td2\n0\t1500\t2500\n0.1\t1600\t1234500\n", {}, ("t_s=t", "range_m[A1]=d1 in mm", "range_m[A2]=d2*0.001"), ""),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("name", ["log.csv", "log.txt"])
+def test_a_table_in_text_is_read_as_it_was_written_and_a_line_says_what_was_left_out(
+    tmp_path, name, text, how, columns, said
+):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    if name == "log.txt" and (isinstance(text, bytes) or "'" in text):
+        pytest.skip("a text without an ending that names it is recognised by its numbers in UTF-8")
+    tables, notices = _read(path, columns, **how)
+    assert sorted(tables["ranges"]) == ROWS
+    assert said in notices
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "options"),
+    [
+        ('0 {"links": [{"A": "A1", "R": "1.5"}, {"A": "A2", "R": "2.5"}]}\n{"state": "lost"}\n'
+         '0.1 -> {"links": [{"A": "A1", "R": 1.6}, {"A": "A2", "R": 1234.5}], "battery": [3, 4, 5]}\n',
+         ("t_s=time", "anchor=links[].A", "range_m=links[].R"), {}),
+        ('{"t":0,"UWB":{"A1":1.5,"A2":2.5}}\n{"t":0.1,"UWB":{"A1":1.6,"A2":1234.5}}\n', ("t_s=t", "range_m[{a}]=UWB.{a}"), {}),
+        ('[{"A1":1.5,"A2":2.5},{"A1":1.6,"A2":1234.5}]', ("t_s=time", "range_m[{a}]=A{a}", ), {"interval": 0.1}),
+        ('{"A1":1.5,"A2":2.5}\n{"A\n{"A1":1.6,"A2":1234.5}', ("t_s=time", "range_m[{a}]=A{a}"), {"interval": 0.1, "leave": True}),
+    ],
+)  # fmt: skip
+def test_json_lines_of_kits_are_rows_for_each_element_or_key(tmp_path, text, columns, options):
+    (tmp_path / "tag.jsonl").write_text(text)
+    columns = [column.replace("[{a}]=A", "[A{a}]=A") for column in columns]
+    assert sorted(_read(tmp_path / "tag.jsonl", columns, **options)[0]["ranges"]) == ROWS
+
+
+@pytest.mark.parametrize(
+    ("expression", "header", "cells", "expected"),
+    [
+        ("secs+nsecs*1e-9", "secs,nsecs", ["1777904000,0", "1777904000,500000000"], [NOON, NOON + 0.5]),
+        ("date+time in dd.mm.yyyy", "date,time", ["04.05.2026,14:13:20", "04.05.2026,14:13:20.5"], [NOON, NOON + 0.5]),
+        ("when in dd-mmm-yyyy", "when,x", ["04-May-2026 14:13:20,0", "04-may-2026 14:13:20.5,0"], [NOON, NOON + 0.5]),
+        ("when in hh:mm:ss", "when,x", ["23:59:59.5,0", "00:00:00.25,0"], [86399.5, 86400.25]),
+        ("when in matlab", "when,x", ["740106.5,0", "740106.75,0"], [20577.5 * 86400, 20577.75 * 86400]),
+        ("day+part in excel", "day,part", ["46146,0.5", "46146,0.75"], [20577.5 * 86400, 20577.75 * 86400]),
+        ("a+b", "a+b,a", ["1,5", "2,5"], [1.0, 2.0]),
+        ("`a-1` in ms", "a-1,a", ["1000,5", "2000,5"], [1.0, 2.0]),
+        ("when in mm/dd/yyyy", "when,x", ["05/04/2026 14:13:20.000,0"] * 2, [NOON] * 2),
+        ("when in MM/DD/YYYY", "when,x", ["5/4/2026 14:13:20,0"] * 2, [NOON] * 2),
+        ("when in dd-mm-yyyy", "when,x", ["04-05-2026T16:13:20+02:00,0"] * 2, [NOON] * 2),
+        ("when in yyyy/mm/dd", "when,x", ["2026/05/04 14:13:20Z,0"] * 2, [NOON] * 2),
+        ("when in iso", "when,x", ["2026-05-04T14:13:20.000000000Z,0"] * 2, [NOON] * 2),
+        ("when in iso", "when,x", ["04.05.2026 14:13:20,0"] * 2, [NOON] * 2),
+        ("d in us", "d,x", ["2.5e6,0", "3e6,0"], [2.5, 3.0]),
+        ("d - 1718000000", "d,x", ["1718000001.5,0"] * 2, [1.5] * 2),
+    ],
+)  # fmt: skip
+def test_a_time_is_read_from_two_columns_a_clock_a_date_or_days(tmp_path, expression, header, cells, expected):
+    path = tmp_path / "log.csv"
+    path.write_text(f"{header},d1\n" + "".join(f"{line},1.5\n" for line in cells))
+    tables, notices = _read(path, (f"t_s={expression}", "range_m[A1]=d1"))
+    np.testing.assert_allclose([row[0] for row in tables["ranges"]], expected, atol=1e-6, rtol=0)
+    assert ("column when: dates are read as dd.mm.yyyy" in notices) == (
+        "04.05.2026" in cells[0] and "iso" in expression
+    )
+
+
+@pytest.mark.parametrize(
+    ("target", "text", "value", "expected"),
+    [
+        ("range_m", "d*0.001", 1500.0, 1.5),
+        ("range_m", "sqrt(d)", 9.0, 3.0),
+        ("azimuth_rad", "d*-1 in deg", 90.0, -np.pi / 2),
+        ("accel_x_mps2", "d in g", 1.0, 9.80665),
+        ("gyro_x_radps", "d in deg/s", 180.0, np.pi),
+        ("range_m", "d in ns", 10.0, 2.99792458),
+    ],
+)
+def test_an_expression_is_the_arithmetic_it_says(tmp_path, target, text, value, expected):
+    table = next(name for name in ("ranges", "bearings", "imu") if target in layout(name, ()).values)
+    ids, values = layout(table, ())[:2]
+    entries = {"t_s": "t"} | dict.fromkeys(ids, "'A1'") | dict.fromkeys(values, "d") | {target: text}
+    pl.DataFrame({"t": [1.0], "d": [value]}).write_parquet(tmp_path / "x.parquet")
+    (row,) = _read(tmp_path / "x.parquet", [f"{k}={v}" for k, v in entries.items()], table, None)[0][table]
+    assert row[1 + len(ids) + values.index(target)] == pytest.approx(expected)
+
+
+def test_a_column_for_each_anchor_or_pair_becomes_a_row_for_each(tmp_path):
+    path = tmp_path / "wide.csv"
+    path.write_text("time,d1,d2,power,note\n0.1,1000,2000,-70,x\n0.2,,2100,-71,y\n")
+    columns = ["t_s=time", "range_m[A1]=d1 in mm", "range_m[A2]=d2 in mm", "rss_dbm=power"]
+    tables, notices = _read(path, columns)
+    assert tables["ranges"] == [(0.1, "T", "A1", 1.0, -70), (0.1, "T", "A2", 2.0, -70), (0.2, "T", "A2", 2.1, -71)]
+    assert notices == "ranges: 1 row without a value left out ranges: columns not used: note"
+    path.write_text("t_s,d21,d71\n0.1,1.0,2.0\n0.2,,2.5\n")
+    tables, _ = _read(path, ["range_difference_m[A2,A1]=d21", "range_difference_m[7, A1]=d71"], "tdoa")
+    assert tables["tdoa"] == [(0.1, "T", "A2", "A1", 1.0), (0.1, "T", "7", "A1", 2.0), (0.2, "T", "7", "A1", 2.5)]
+
+
+def test_a_tag_for_all_rows_fills_what_is_empty_and_names_what_a_filter_has_left(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t_s,tag,anchor,range_m\n0,T1,A1,1\n1,,A1,1\n2,T2,A1,1\n")
+    for columns, tag, where, expected in (((), "T1", ["T1", ""], ["T1", "T1"]), (["tag='X9'"], None, ["T1"], ["X9"])):
+        assert [row[1] for row in _read(path, columns, tag=tag, where={"tag": where})[0]["ranges"]] == expected
+
+
+# Output of the DWM1001's shell, commands les, lec and lep, as public code quotes it, of TREK1000 (user manual, 8.1.1),
+# and of the DWM3001CDK (SDK Developer Guide, INITF).
+LES = (
+    "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51 111C[5.00,0.00,2.25]=3.18 1150[0.00,0.00,2.25]=3.16 "
+    "le_us=2576 est[2.57,1.98,1.68,100]"
+)
+LEC = (
+    "DIST,4,AN0,1151,5.00,8.00,2.25,6.44,AN1,0CA8,0.00,8.00,2.25,6.50,AN2,111C,5.00,0.00,2.25,3.24,"
+    "AN3,1150,0.00,0.00,2.25,3.19,POS,2.55,2.01,1.71,98"
+)
+LEP = "POS,2.57,2.00,1.67,97"
+TREK = (
+    "mr 0f 000005a4 000004c8 00000436 000003f9 0958 c0 40424042 a0:0\n"
+    "ma 07 00000000 0000085c 00000659 000006b7 095b 26 00024bed a0:0\n"
+    "mc 0f 00000663 000005a3 00000512 000004cb 095f c1 00024c24 a0:0\n"
+)
+FIRA = (
+    '{"Block":0, "results":[{"Addr":"0x0001","Status":"Ok","D_cm":9,"LPDoA_deg":113.38,"LAoA_deg":46.35,"LFoM":0,'
+    '"RAoA_deg":-59.33,"CFO_ppm":-0.58}]}\n'
+    '{"Block":2, "results":[{"Addr":"0x0001","Status":"Ok","D_cm":150,"LPDoA_deg":0.00,"LAoA_deg":0.00,"LFoM":0,'
+    '"RAoA_deg":0.00,"CFO_ppm":-0.58},{"Addr":"0x0002","Status":"Err"}]}\n'
+)
+POSITION = (2.57, 2.0, 1.67)
+MC = [("0", 1.635), ("1", 1.443), ("2", 1.298), ("3", 1.227)]
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "expected", "said"),
+    [
+        (f"dwm> les\n0.1 {LES}\n0.2 {LEC}\n", {}, {
+            "ranges": [(t, "T", a, d) for t, row in ((0.1, (6.48, 6.51, 3.18, 3.16)), (0.2, (6.44, 6.5, 3.24, 3.19)))
+                       for a, d in zip(("1151", "0CA8", "111C", "1150"), row, strict=True)],
+            "fixes": [(0.1, "T", 2.57, 1.98, 1.68), (0.2, "T", 2.55, 2.01, 1.71)]}, ""),
+        (f"23:59:59.5 -> {LEP}\n00:00:01,5 {LEP}\n", {}, {"fixes": [(86399.5, "T", *POSITION), (86401.5, "T", *POSITION)]}, ""),
+        (f"[2026-05-04T14:13:20] {LEP}\n", {}, {"fixes": [(NOON, "T", *POSITION)]}, ""),
+        (f"1500: {LEP}\n", {"columns": ["t_s=time in ms"]}, {"fixes": [(1.5, "T", *POSITION)]}, ""),
+        (f"{LEP}\n{LEP}\n", {"interval": 0.1}, {"fixes": [(0.0, "T", *POSITION), (0.1, "T", *POSITION)]}, ""),
+        (f"0.1 {LEP}\nnonsense\n0.2 {LEC[:40]}\nnoon {LEP}\n", {"leave": True}, {"fixes": [(0.1, "T", *POSITION)]},
+         "3 lines could not be read, left out: 2, 3, 4"),
+        (TREK, {"tag": None}, {"ranges": [(150.564, "0", a, d) for a, d in MC]}, "2 lines of raw (mr)"),
+        (FIRA, {"tag": None, "interval": 0.2}, {
+            "ranges": [(0.0, "0001", "log", 0.09), (0.4, "0001", "log", 1.5)],
+            "bearings": [(0.0, "0001", "log", pytest.approx(0.80896, abs=1e-5), None)]}, "1 exchange without a result"),
+        (FIRA.replace("{\"Bl", "0.5 {\"Bl"), {}, {
+            "ranges": [(0.5, "T", "0001", 0.09), (0.5, "T", "0001", 1.5)],
+            "bearings": [(0.5, "T", "0001", pytest.approx(-1.03550, abs=1e-5), None)]}, ""),
+    ],
+)  # fmt: skip
+def test_the_lines_of_the_makers_of_kits_are_readings(tmp_path, text, options, expected, said):
+    (tmp_path / "log.txt").write_text(text)
+    tables, notices = _read(tmp_path / "log.txt", **{"columns": ()} | options)
+    assert tables == expected
+    assert said in notices
+
+
+CSV = "t_s,tag,id,distance_mm,word,gap\n0,T,A1,1000,1,a\n1,T,A1,1000,oops,\n"
+DATES = "t,d1\n{}\n{}\n"
+US, DE = "05/04/2026 14:13:20,1", "05/13/2026 14:13:20,1"
+MISTAKES: list[tuple[str, str, dict[str, object], str]] = [
+    # name, text, options, words
+    ("log.csv", "0,1.5,2.5\n1,2,3\n", {}, "line 1 is '0,1.5,2.5', without names of columns; .*--header none"),
+    ("log.csv", "log\nt,d1,d2\n0,1,2\n", {}, "line 2 has 3 cells, expected 1 as in line 1, the header.*--header LINE"),
+    ("log.csv", "t,d1,d2\n0,1,2\n1,2\n", {}, "line 3 has 2 cells, expected 3"),
+    ("log.csv", "t,d1,d1\n0,1,2\n", {}, "'d1' is duplicated in line 1.*--header none --skip 1"),
+    ("log.csv", "t,d1,d2\n\n0,1,N/A\n", {}, r"row 1 \(line 3\), column d2: 'N/A'.*--missing=N/A"),
+    ("log.csv", "t;d1;d2\n0;1;1,234.5\n", {}, "line 2.*--thousands ','"),
+    ("log.csv", "t;d1;d2\n0;1;1,5\n", {}, "line 2.*--decimal ,"),
+    ("log.csv", "t;d1;d2\n0;1;1.234\n", {"decimal": ","}, "'1.234'; expected a number"),
+    ("log.csv", "t,d1,d2\n12:00:01,1,2\n", {}, "line 2.*'t_s=t in hh:mm:ss'"),
+    ("log.csv", 't,d1,d2\n0,"1,2\n1,2,3\n', {}, "line 2 has a quote that is not closed"),
+    ("log.csv", "", {}, "has no rows"),
+    ("log.csv", "t,d1,d2\n", {}, "the table has no rows, expected at least one below line 1"),
+    ("log.csv", "t,d\0\n", {}, "holds binary data.*--encoding utf-16-le"),
+    ("log.csv", CSV, {"columns": ["range_m=d", "range_m=d"]}, "range_m is given twice"),
+    ("log.csv", CSV, {"columns": ["range_m=distance_mm in deg"]}, "unit 'deg' does not fit range_m; expected one of m, dm, cm"),
+    ("log.csv", CSV, {"columns": ["range_m=d/0"]}, "division by zero"),
+    ("log.csv", CSV, {"columns": ["range_m=distance_m", "anchor=id"]}, "no column 'distance_m'; expected 'distance_mm'?"),
+    ("log.csv", CSV, {"columns": ["rnage_m=distance_mm"]}, "has no column rnage_m; expected range_m"),
+    ("log.csv", CSV, {"columns": ["range_m=distance_mm", "anchor=gap"]}, r"row 2 \(line 3\), column gap: empty; expected the id"),
+    ("log.csv", CSV, {"table": "truth", "columns": ["x_m=word[A1]", "y_m=word", "z_m=word"]}, "no column"),
+    ("log.csv", CSV, {"table": "fixes", "columns": ["x_m=gap", "y_m=gap"]}, "needs z_m.*an empty one where no height is measured"),
+    ("log.csv", CSV, {"table": "fixes", "columns": ["x_m[A1]=word"]}, "has no anchors or stations"),
+    ("log.csv", CSV, {"columns": ["anchor=id"]}, "ranges needs range_m.*add --columns 'range_m=distance_mm in mm'"),
+    ("log.csv", CSV.replace("1,T,", "1,T2,"), {"columns": ["anchor=id", "range_m=distance_mm"]},
+     r'the column tag has T, T2; --tag T would overwrite it; leave it out.*where = { tag = \["T"\] }'),
+    ("log.csv", DATES.format(US, US), {"columns": ["t_s=t in iso", WIDE[1]]}, "no order is guessed: name it, as 't_s=t in mm/dd/yyyy'"),
+    ("log.csv", DATES.format(US.replace("/", "-"), US), {"columns": ["t_s=t in iso", WIDE[1]]}, "name it, as 't_s=t in mm-dd-yyyy'"),
+    ("log.csv", DATES.format(US, DE), {"columns": ["t_s=t in dd/mm/yyyy", WIDE[1]]}, r"line 3\), .*a date such as 31/05/2026"),
+    ("log.csv", DATES.format("05/04/2026 02:13 PM,1", ""), {"columns": ["t_s=t in mm/dd/yyyy", WIDE[1]]}, "such as 05/31/2026 14:00"),
+    ("log.csv", DATES.format("2026-05-04T14:13:20,1", "2026-05-04T14:13:21Z,1"), {"columns": ["t_s=t in iso", WIDE[1]]},
+     r"line 3\), .*a time zone in every row, or in none"),
+    ("log.csv", DATES.format("2026-05-04T14:13:20,1", "2026-05-04T14:13:21Z,1"), {}, "'t_s=t in iso'"),
+    ("log.csv", "t,x\n0,1\n", {"encoding": "utf-9"}, "--encoding utf-9: expected a name such as utf-8"),
+    ("log.csv", "t,x\n0,1\n", {"header": "0"}, "--header 0: expected the number of its line"),
+    ("log.csv", "t,x\n0,1\n", {"separator": ";;"}, "--separator ';;'; expected one character"),
+    ("log.jsonl", '{"t":0}\n{"t":\n', {}, "line 2: .*--skip-bad-lines"),
+    ("log.jsonl", "{}\n", {}, "no values; expected an object in each line"),
+    ("log.txt", f"0.1 {LEC}\n0.2 DIST,4,AN0,1151,5.00,8.00\n0.3 {LEP}\n", {"columns": ()}, "line 2: 'DIST,4.*a line of lec.*--skip-bad-lines"),
+    ("log.txt", f"0.1 {LEC}\nnoon {LEP}\n", {"columns": ()}, "line 2: 'noon' before the readings"),
+    ("log.txt", f"0.1 {LES}\n0.3 {LES[:60]}\n", {"columns": ()}, "line 2: .*it is the last line, and looks cut off"),
+    ("log.txt", f"0.1 {LES}\n0.3 {LES.replace('5.00', '5.50', 1)}\n", {"columns": ()}, "line 2: anchor 1151 at .*anchors that stay"),
+    ("log.txt", f"{LEP}\n", {"columns": ()}, "line 1: no time before the readings.*--interval 0.1"),
+    ("log.txt", f"0.1 {LEP}\n", {"columns": (), "tag": None}, "do not name the tag; give it: --tag ID"),
+    ("log.txt", f"0.1 {LEP}\n", {"columns": ["x_m=time"]}, "has one column"),
+    ("log.txt", TREK, {"columns": ()}, "is of tag 0, which --tag T would rename"),
+    ("log.txt", "INFO 0.1 range 2.3\nINFO 0.2 range 2.4\n", {}, "no format is recognised"),
+    ("log.txt", "NO_OF_FRAMES\t2\nFrame\tTime\tX\n1\t0.0\t2.5\n2\t0.1\t2.6\n", {}, "line 2 has 3 cells, .*--header LINE"),
+    ("log.txt", "some notes\n", {}, "no format is recognised.*a table.*DWM1001.*TUM"),
+    ("log.csv", "s,ns,x,y,z\n" + "".join(f"{1777904000 + k // 9},{k},{k},0,1\n" for k in range(40)),
+     {"table": "truth", "columns": ["t_s=s", "x_m=x", "y_m=y", "z_m=z"]},
+     r"column s: 40 poses of tag T, 5 times: the stamps have lost their digits.*t_s=secs\+nsecs\*1e-9"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "text", "options", "words"), MISTAKES)
+def test_what_cannot_be_read_is_refused_with_its_place_and_the_usual_fix(tmp_path, name, text, options, words):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UnusableInput, match=words) as refused:
+        _read(tmp_path / name, **options)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x = 1", "x is no key of it; .* has entries"),
+        ("tables = []", "no tables; expected entries"),
+        ('[[tables]]\ntable = "ranges"\ntabel = "x"', "tables 1.tabel is no key of it"),
+        ('[[tables]]\ntable = "range"', "tables 1: table 'range'; expected one of ranges"),
+        ("[[tables]]\n", "tables 1.table is missing"),
+        ('[[tables]]\ntable="ranges"\ncolumns={range_m=3}', "columns.range_m = 3, expected a valid string"),
+        ('[[tables]]\ntable="ranges"\ncolumns=["d"]', r"columns = \['d'\], expected a valid"),
+        ('[[tables]]\ntable="ranges"\nanchors={x_m="x"}', "anchors with x_m, columns with none; exp"),
+        ('[tables]\ntable = "ranges"', r"tables = .*expected a valid list.*\[\[tables\]\]"),
+        ('anchors = "x"\n[[tables]]\ntable="ranges"', "expected a pattern with groups anchor, x, y, z"),
+        ('[tags.T]\noffset_m=[1, 2]\n[[tables]]\ntable="ranges"', "tags.T.offset_m"),
+    ],
+)
+def test_a_mistake_in_a_file_of_mappings_is_refused_with_its_key(tmp_path, text, words):
+    (tmp_path / "map.toml").write_text(text)
+    with pytest.raises(UnusableInput, match=f"map.toml: .*{words}|map.toml: {words}"):
+        read_mapping(tmp_path / "map.toml")
+
+
+@pytest.mark.parametrize(("digits", "words"), [(-3, "40 poses, one time"), (0, "40 poses, 5 times")])
+def test_stamps_that_have_lost_their_digits_are_refused_in_poses_and_in_tables_for_each_tag(tmp_path, digits, words):
+    path, stamps = tmp_path / "own.tum", [round(1604644000 + 0.1 * k, digits) for k in range(40)]
+    path.write_text("".join(f"{t} {k} 0 1 0 0 0 1\n" for k, t in enumerate(stamps)))
+    with pytest.raises(UnusableInput, match=words):
+        read_trajectory(path)
+    table = pl.DataFrame({"t_s": stamps, "tag": "T1", "x_m": np.arange(40.0), "y_m": 2.0, "z_m": 0.0})
+    table.write_csv(tmp_path / "own.csv")
+    with pytest.raises(UnusableInput, match=words):
+        read_estimates(tmp_path / "own.csv")
+    with pytest.raises(UnusableInput, match=words.replace("poses", "poses of tag T1")):
+        _read(tmp_path / "own.csv", (), "truth", None)
+    table.with_columns(tag=pl.Series([f"T{k}" for k in range(40)])).write_csv(tmp_path / "own.csv")
+    assert len(read_estimates(tmp_path / "own.csv")[0]) == 40
+    assert len(_read(tmp_path / "own.csv", (), "truth", None)[0]["truth"]) == 40
+
+
+def test_a_pose_that_is_published_several_times_has_lost_no_digits(tmp_path):
+    rows = "".join(f"{k // 4},T1,{k // 4},2,0\n" for k in range(40))
+    (tmp_path / "own.csv").write_text(f"t_s,tag,x_m,y_m,z_m\n{rows}")
+    assert len(_read(tmp_path / "own.csv", (), "truth", None)[0]["truth"]) == 40
+
+
+@pytest.mark.parametrize("make", [pd.DataFrame, pl.DataFrame, pl.LazyFrame])
+def test_frames_become_a_recording(make):
+    frame = make({"distance": [1000, 2000, 1500], "anchor": ["A1", "A2", "A1"], "when": [0.0, 0.1, 0.2]})
+    columns = {"ranges": ["range_m=distance in mm", "t_s=when"]}
+    recording = import_frames({"ranges": frame}, RIG, columns, tag="T1", name="monday")
+    assert (recording.name, recording.path) == ("monday", None)
+    assert recording.tables["ranges"].rows() == [(0.0, "T1", "A1", 1.0), (0.1, "T1", "A2", 2.0), (0.2, "T1", "A1", 1.5)]
+
+
+@pytest.mark.parametrize("unit", ["ns", "us", "ms", "s"])
+def test_an_index_of_pandas_times_is_read_as_seconds_in_any_unit(unit):
+    stamps = pd.to_datetime(["2026-05-04T14:13:20", "2026-05-04T14:13:21", "2026-05-04T14:13:22"]).as_unit(unit)
+    frame = pd.DataFrame({"range_m": [1.0, 2.0, 1.5], "anchor": ["A1", "A2", None]}, index=stamps.rename("stamp"))[:2]
+    recording = import_frames({"ranges": frame}, RIG, {"ranges": ["t_s=stamp"]}, tag="T1")
+    assert recording.tables["ranges"]["t_s"].to_list() == [NOON, NOON + 1]
+
+
+def test_frames_with_time_stamps_begin_at_their_origin():
+    stamps = pd.date_range("2026-05-01T12:00:00.25", periods=3, freq="s")
+    ranges = pd.DataFrame({"t_s": stamps, "anchor": "A1", "range_m": 1.0})
+    truth = pd.DataFrame({"t_s": stamps - pd.Timedelta("1s"), "x_m": 1.0, "y_m": 0.0, "z_m": 0.0})
+    for origin in ("start", "2026-05-01T12:00:00.25", stamps[0].timestamp()):
+        tables = import_frames({"ranges": ranges, "truth": truth}, RIG, tag="T", origin=origin).tables
+        assert tables["ranges"]["t_s"].to_list() == pytest.approx([0.0, 1.0, 2.0], abs=1e-6)
+        assert tables["truth"]["t_s"].to_list() == pytest.approx([-1.0, 0.0, 1.0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("frames", "columns", "tag", "words"),
+    [
+        ("given", {"ranges": []}, "T1", r"add columns=\{'ranges': \['range_m="),
+        ("given", {"ranges": ["range_m=distance_mm in mm"]}, None, "give tag='ID'$"),
+        ("given", [], "T1", "columns: found list; expected expressions by table"),
+        (3, None, None, r"import_frames: found 3; expected frames by table, as \{'ranges': frame\}"),
+    ],
+)
+def test_frames_are_refused_in_words_of_python(frames, columns, tag, words):
+    frame = pl.DataFrame({"t_s": [0.0], "anchor": ["A1"], "distance_mm": [900.0]})
+    with pytest.raises(UnusableInput, match=words) as refused:
+        import_frames({"ranges": frame} if frames == "given" else frames, RIG, columns, tag=tag)
+    assert "--" not in str(refused.value)
