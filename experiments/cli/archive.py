@@ -44,9 +44,9 @@ from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names
+from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names, truths_of
 from trackwright.trackers.evaluation.events import EVENTS
+from trackwright.trackers.evaluation.rows import is_scored, scored_rows
 from trackwright.trackers.recordings.atomic import config_hash, held
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
@@ -182,17 +182,17 @@ def _show(
         folders.append(folder)
         tables.append(read_tracks(run.folders[name]))
         events.append(pl.read_parquet(run.folders[name] / EVENTS))
-    truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
-    association = associate_truth(pl.concat(tables, how="diagonal"), truths)
+    stations = {folder.name: folder.rig.stations for folder in folders}
+    rows = scored_rows(pl.concat(tables, how="diagonal"), truths_of(folders), stations)
     part = Evaluation(
         evaluation.bearing,
         evaluation.overall,
         chosen,
         [metrics for metrics in evaluation.tracks if metrics["recording"] in names],
     )
-    tracks, page = ScoredTracks(association, folders, batches), None
+    tracks, page = ScoredTracks(rows, folders, batches), None
     if not options.no_report:
-        known = part if association.scored.any() else None
+        known = part if is_scored(rows).any() else None
         about = f"{run.tracker}: {spec_of(run.tracker).about}"
         page = run_data(tracks, pl.concat(events, how="diagonal"), known, about, run.short)
         page |= {"recordingCount": len(run.paths), "statements": evaluation.statements if known else []}

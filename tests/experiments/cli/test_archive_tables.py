@@ -14,10 +14,9 @@ from trackwright.experiments.cli.archive_folders import MANY, archive_of, record
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import TrackScores, evaluate
-from trackwright.trackers.evaluation.metrics import MetricRows
-from trackwright.trackers.evaluation.scores import Scores
+from trackwright.trackers.evaluation.evaluate import evaluate, rows_of
+from trackwright.trackers.evaluation.histograms import Totals, plain_sums
+from trackwright.trackers.evaluation.metrics import metrics
 from trackwright.trackers.recordings.atomic import json_text
 
 PERCENTILES = ("median", "p90", "p95", "p99", "sigma_factor")
@@ -57,11 +56,6 @@ def _bearings(folder, rng):
     return pl.concat(tables)
 
 
-def _scores(association, stations):
-    """What an archive keeps of the scores of a recording."""
-    return TrackScores.of(association, stations).recordings({})[1].condensed()
-
-
 @pytest.mark.parametrize(("bearing", "rows"), [(False, 400), (False, 800), (False, 4), (True, 200)])
 def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
     if bearing:
@@ -71,12 +65,10 @@ def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
     else:
         folders = [recording(f"r{k}", k, rows=rows) for k in range(3)]
         tables = [build("fix-kf", folder).run(folder).table for folder in folders]
-    parts = []
+    totals = Totals()
     for folder, table in zip(folders, tables, strict=True):
-        association = associate_truth(table, {folder.name: folder.tables["truth"]})
-        parts.append(_scores(association, {folder.name: folder.rig.stations}))
-    kept = [Scores.from_plain(json.loads(json_text(part.plain()))) for part in parts]
-    (found,) = MetricRows(kept[0] + kept[1] + kept[2])
+        totals.add(json.loads(json_text(plain_sums(rows_of(table, folder), {}))))
+    found = metrics(totals.frame()).row(0, named=True)
     expected = evaluate(pl.concat(tables), folders).overall
     assert list(found) == list(expected)
     for name, value in expected.items():

@@ -8,7 +8,7 @@ import pytest
 from tests.experiments.monte_carlo.small_study import SMALL, TOML, study_command
 from trackwright.experiments.monte_carlo import chunk as one_chunk
 from trackwright.experiments.monte_carlo import errors
-from trackwright.experiments.monte_carlo.errors import Masked, TrackedRuns, scored
+from trackwright.experiments.monte_carlo.errors import TrackedRuns, _histograms, scored
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
 from trackwright.experiments.monte_carlo.sources import load_study
@@ -16,8 +16,8 @@ from trackwright.experiments.pages.reports.study_text import to_text
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.histograms import BINS
 from trackwright.trackers.evaluation.metrics import METRICS
-from trackwright.trackers.evaluation.scores import BINS, error_sums
 
 
 @pytest.fixture(scope="module")
@@ -108,20 +108,18 @@ def test_chunks_are_added_to_the_blocks_of_their_trajectories_in_order():
             sums[block] += [kept[f"sum {name}"][k] for name in names]
             largest[block] = np.fmax(largest[block], kept["largest m"][k])
             histogram[block] += dense[k]
-    found = totals.scores
-    np.testing.assert_array_equal(np.stack([found[name] for name in names], axis=-1), sums)
-    np.testing.assert_array_equal(found.largest["m"], largest)
-    np.testing.assert_array_equal(found.histograms["m"], histogram)
+    np.testing.assert_array_equal(np.stack([totals.sums[name] for name in names], axis=-1), sums)
+    np.testing.assert_array_equal(totals.largest["m"], largest)
+    np.testing.assert_array_equal(totals.histograms["m"], histogram)
 
 
 def _accumulated(sizes, histogram):
     """Accumulators of errors (n, T)."""
-    rows = Masked(np.ones(sizes.shape, bool))
-    sums, largest = error_sums("m", sizes, rows)
-    kept = {f"sum {name}": x.astype(float) for name, x in sums.items()}
-    kept |= {"sum n": kept["sum n m"], "largest m": largest["m"]}
+    n = np.full(len(sizes), float(sizes.shape[1]))
+    kept = {"sum n": n, "sum n m": n, "sum sum m": sizes.sum(axis=1), "sum squares m": (sizes**2).sum(axis=1)}
+    kept["largest m"] = sizes.max(axis=1)
     if histogram:
-        kept["cells m"], kept["counts m"] = rows.histograms(sizes)
+        kept["cells m"], kept["counts m"] = _histograms(sizes)
     return kept
 
 
