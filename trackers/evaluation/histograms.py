@@ -36,7 +36,7 @@ class Totals:
         self.sums.append(part["sums"])
         for kind, (cells, counts) in part["histograms"].items():
             histogram = self.histograms.setdefault(kind, np.zeros((1, BINS), np.int64))
-            histogram[0, cells] += counts
+            histogram[0, np.array(cells, int)] += np.array(counts, int)
             self.values.setdefault(kind, []).extend(part["values"].get(kind, ()))
             if histogram.sum() > EXACT:
                 self.values[kind] = []

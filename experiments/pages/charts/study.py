@@ -205,7 +205,7 @@ def _height(names: int) -> float:
 
 def _kind(results: Results, condition: Condition) -> str:
     """The kind of error of the first metric that has one, else the first kind that exists."""
-    there = {k for t in results.study.trackers for k in results.totals[condition.index, t].scores.histograms}
+    there = {k for t in results.study.trackers for k in results.totals[condition.index, t].histograms}
     # The longer suffixes first: `3d_m` ends in `m` too.
     kinds = sorted(there, key=len, reverse=True)
     asked = (k for f in results.study.metrics for k in kinds if f.endswith(f"_{k}"))
