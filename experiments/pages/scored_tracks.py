@@ -251,8 +251,8 @@ def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth
     else:
         rows = scored_rows(table if "tag" in table.columns else table.with_columns(tag=pl.lit("")), {})
     # A recording in arrays has no installation and no tables of readings.
-    arrays = not isinstance(recording, RecordingFolder)
-    folder = RecordingFolder(names[0], None, Rig(names[0]), {}) if arrays else recording
+    none = RecordingFolder(names[0], None, Rig(names[0]), {})
+    folder = recording if isinstance(recording, RecordingFolder) else none
     return ScoredTracks(rows, [folder], estimates.batches if isinstance(estimates, Tracks) else ())
 
 

@@ -72,7 +72,7 @@ def paired_differences(
     kind = "tracks"
     if len(common) < MANY_TRACKS:
         runs, kind = _in_pieces(runs), "pieces of time, several times longer than errors last"
-    shared = np.intersect1d(*(run["piece"] for run in runs))
+    shared = np.intersect1d(runs[0]["piece"].to_numpy(), runs[1]["piece"].to_numpy())
     before, after = (_without_each(run, shared, names) for run in runs)
     return {
         name: jackknifed(x[0], y[0], y[1:] - x[1:])._replace(kind=kind)

@@ -115,13 +115,10 @@ def rows_of(
 ) -> pl.DataFrame:
     """The `scored_rows` of estimates; arguments as of `evaluate`. Raises UnusableInput if no recording has a truth."""
     several = _several(recordings)
-    if isinstance(estimates, pl.DataFrame):
-        table = estimates
-    else:
-        table = estimates.to_polars()
-        if "tag" not in table.columns:
-            _refuse_other_places(estimates.names, [recording.name for recording in several])
-            table = table.with_columns(tag=pl.lit(""))
+    table = estimates if isinstance(estimates, pl.DataFrame) else estimates.to_polars()
+    if "tag" not in table.columns and not isinstance(estimates, pl.DataFrame):
+        _refuse_other_places(getattr(estimates, "names", ()), [recording.name for recording in several])
+        table = table.with_columns(tag=pl.lit(""))
     truths = truths_of(several)
     if not truths:
         names = ", ".join(str(getattr(r, "path", None) or r.name) for r in several)

@@ -63,9 +63,9 @@ def scored_rows(
     truth, status = paths.at(names, starts, np.where(usable, times, np.nan))
     status = np.where(usable, status, TruthStatus.NO_ESTIMATE)
     scored = last_of_intervals(times, status == TruthStatus.SCORED, every, track)
-    why = pl.Series(status).replace_strict(WHY, default=None, return_dtype=pl.String)
-    columns = {"why": why.zip_with(pl.Series(scored | (status != TruthStatus.SCORED)), pl.Series([SKIPPED]))}
-    columns |= {f"true_{axis}": x for axis, x in zip(AXES, truth.T, strict=True)}
+    why = pl.Series("why", status).replace_strict(WHY, default=None, return_dtype=pl.String)
+    why = why.zip_with(pl.Series(scored | (status != TruthStatus.SCORED)), pl.Series([SKIPPED]))
+    columns = {f"true_{axis}": x for axis, x in zip(AXES, truth.T, strict=True)}
     if is_bearing(rows):
         columns |= _bearings(rows, truth, scored, track, starts, stations or {})
     else:
@@ -75,7 +75,7 @@ def scored_rows(
             columns["size_heading_rad"] = np.where(scored, np.abs(wrapped(turned)), np.nan)
         columns = _positions(rows, truth, scored, track) | columns
     columns |= _innovations(rows, track) | _lost(rows, times, track)
-    return rows.with_columns(pl.Series(name, x, nan_to_null=True) for name, x in columns.items())
+    return rows.with_columns(why, *(pl.Series(name, x, nan_to_null=True) for name, x in columns.items()))
 
 
 def is_scored(rows: pl.DataFrame) -> np.ndarray:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
+import polars as pl
 from matplotlib.axes import Axes
 
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
@@ -17,7 +18,6 @@ from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
 from trackwright.experiments.text.wording import SHOWN, Unit, heading, length_unit, unit_of
 from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.metrics import metrics, sums
-from trackwright.trackers.evaluation.rows import is_scored
 
 MOST_PLANS = 3
 """Recordings with floor plans: of more the worst, the median and the best by the RMSE of the first run."""
@@ -106,7 +106,8 @@ def _planned(runs: Sequence[TrackRun]) -> dict[str, str]:
     """The recordings of all runs with floor plans, and why these."""
     if not runs:
         return {}
-    first, *others = (sums(run.rows.filter(is_scored(run.rows)), "recording", of=["rmse_m"]) for run in runs)
+    rows = [run.rows.filter(pl.col("why").is_null()) for run in runs if run.rows is not None]
+    first, *others = (sums(of_run, "recording", of=["rmse_m"]) for of_run in rows)
     for other in others:
         first = first.join(other, "recording", "semi", maintain_order="left")
     names = first["recording"].to_list()

@@ -160,7 +160,7 @@ def _distributions(axes: Axes, results: Results, condition: Condition, kind: str
     """The distribution of the errors of each tracker with errors of this kind, up to 98 % of the largest."""
     curves, looks = [], []
     for number, tracker in enumerate(results.study.trackers):
-        if kind in results.totals[condition.index, tracker].scores.histograms:
+        if kind in results.totals[condition.index, tracker].histograms:
             edges, share = results.cdf(condition.world, tracker, kind, **condition.point)
             curves.append(Curve(tracker, edges * unit.factor, 100 * share))
             looks.append(_look(number))
