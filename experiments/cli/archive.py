@@ -23,6 +23,7 @@ from trackwright.experiments.cli.archive_part import (
     RecordingStore,
     Scoring,
     Tracking,
+    errors_file,
     refusal,
 )
 from trackwright.experiments.cli.archive_tables import Refusals, Run, compared, gathered, read_results, write_results
@@ -70,7 +71,7 @@ def track_archive(
         write_results(options.out, rows)
         for run in runs:
             out = output_folder(options.out if len(runs) == 1 else options.out / run.short)
-            evaluation, count = run.write(out), run.write_table(out, TRACKS)
+            evaluation, count = run.write(out, errors_file(TRACKED)), run.write_table(out, TRACKS)
             run.write_table(out, EVENTS)
             run.write_sources(out)
             tracks = counted(sum(run.endings.values()), "track")
@@ -242,7 +243,7 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
         write_results(out, rows)
         failed = False
         for run in runs:
-            evaluation = run.write(out if len(runs) == 1 else output_folder(out / run.short))
+            evaluation = run.write(out if len(runs) == 1 else output_folder(out / run.short), errors_file(SCORED))
             put(_shown(run, evaluation))
             failed |= bool(code_of(evaluation, fail_if, f"{run.short}: "))
         _compare(runs)

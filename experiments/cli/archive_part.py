@@ -31,7 +31,7 @@ from trackwright.trackers.core.errors import UnusableInput, one_line
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.evaluation.evaluate import Evaluation, Ratios
 from trackwright.trackers.evaluation.events import EVENTS, events_of
-from trackwright.trackers.evaluation.histograms import plain_sums
+from trackwright.trackers.evaluation.metrics import RESIDUALS, sums
 from trackwright.trackers.evaluation.residuals import residual_ratios
 from trackwright.trackers.evaluation.rows import refuse_without_overlap, scored_rows
 from trackwright.trackers.recordings.atomic import json_text
@@ -45,6 +45,11 @@ from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TR
 
 TRACKED, SCORED = "tracked.json", "scored.json"
 """The files that `track` and `evaluate` write last into the folder of a finished recording."""
+
+
+def errors_file(name: str) -> str:
+    """The table of the errors from which percentiles of all recordings are taken, by the file that is written last."""
+    return Path(name).with_suffix(".parquet").name
 
 
 @dataclass(frozen=True)
@@ -230,7 +235,7 @@ class Tracking:
         happened = events_of(tracks.table, named.spec, tracks.batches)
         rows, lines = with_truth(tracks.table, named, [folder])
         about = {"tracker": name, "short": split_name(name)[1] or name, "endings": tracks.summaries}
-        tables = {TRACKS: tracks.table, EVENTS: happened}
+        tables = {TRACKS: tracks.table, EVENTS: happened, errors_file(TRACKED): errors_of_rows(rows)}
         return outcome_of(about, rows, residual_ratios(tracks), tables), [*fits, *tracks.notices, *lines]
 
 
@@ -274,8 +279,14 @@ class Scoring:
             except UnusableInput as problem:
                 result.refused.append(f"{folder.path}: {about['short']}: {problem}")
                 continue
-            result.outcomes.append(outcome_of(about, rows, {}, {}))
+            tables = {errors_file(SCORED): errors_of_rows(rows)}
+            result.outcomes.append(outcome_of(about, rows, {}, tables))
         return result
+
+
+def errors_of_rows(rows: pl.DataFrame) -> pl.DataFrame:
+    """The sizes of errors and NEES of scored rows."""
+    return rows.filter(pl.col("why").is_null()).select("^(size_.*|nees|nees_3d)$")
 
 
 def outcome_of(
@@ -283,11 +294,12 @@ def outcome_of(
 ) -> Outcome:
     """The outcome of the scored rows of a recording; `about`: tracker, short name and endings; `ratios`: by name."""
     evaluation = Evaluation.of(rows, ratios)
+    (recording,) = evaluation.recordings
     summary = {key: about[key] for key in ("tracker", "short", "endings")} | {
-        "recording": evaluation.recordings[0]["recording"],
+        "recording": recording["recording"],
         "bearing": evaluation.bearing,
-        "metrics": evaluation.recordings[0],
+        "metrics": recording,
         "tracks": evaluation.tracks,
-        "scores": plain_sums(rows, ratios),
+        "sums": sums(rows).row(0, named=True) | {name: recording[name] for name in RESIDUALS},
     }
     return Outcome(summary, evaluation, tables)

@@ -23,8 +23,7 @@ from trackwright.trackers.core.errors import UnusableInput, has_control, one_lin
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.comparison import COMPARED, LEAST_PIECES, Difference, jackknifed
 from trackwright.trackers.evaluation.evaluate import Evaluation
-from trackwright.trackers.evaluation.histograms import Totals
-from trackwright.trackers.evaluation.metrics import metrics
+from trackwright.trackers.evaluation.metrics import added, metrics
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES
 
@@ -43,7 +42,7 @@ class Run:
     tracker: str
     short: str
     bearing: bool
-    scores: Totals = field(default_factory=Totals)
+    sums: list[dict[str, Any]] = field(default_factory=list)
     recordings: list[dict[str, Any]] = field(default_factory=list)
     tracks: list[dict[str, Any]] = field(default_factory=list)
     paths: dict[str, Path] = field(default_factory=dict)
@@ -53,15 +52,18 @@ class Run:
     def add(self, path: Path, folder: Path, summary: Mapping[str, Any]) -> None:
         """Adds a recording at `path`, with its outcome and the folder of its tables."""
         name = summary["recording"]
-        self.scores.add(summary["scores"])
+        self.sums.append(summary["sums"])
         self.paths[name], self.folders[name] = path, folder
         self.recordings.append(summary["metrics"])
         self.tracks += summary["tracks"]
         self.endings.update(summary["endings"])
 
-    def write(self, out: Path) -> Evaluation:
-        """Writes the metrics, of recordings and tracks by name, into the folder `out` and returns them."""
-        overall = metrics(self.scores.frame()).row(0, named=True)
+    def write(self, out: Path, errors: str) -> Evaluation:
+        """Writes the metrics, of recordings and tracks by name, into the folder `out` and returns them.
+
+        `errors`: the name of the `errors_file` of each recording."""
+        whole = added(pl.DataFrame(self.sums, infer_schema_length=None), self._rows(errors))
+        overall = metrics(whole).row(0, named=True)
         evaluation = Evaluation(self.bearing, overall, by_name(self.recordings), by_name(self.tracks))
         atomic_write(out / EVALUATION, lambda path: path.write_text(to_json(evaluation), encoding="utf-8"))
         return evaluation
@@ -73,13 +75,16 @@ class Run:
 
     def write_table(self, out: Path, name: str) -> int:
         """Writes the tables `name` of all recordings as one, without holding them in memory; returns its rows."""
+        path = atomic_write(out / name, partial(self._rows(name).sink_parquet, compression_level=1))
+        return int(pl.scan_parquet(path).select(pl.len()).collect().item())
+
+    def _rows(self, name: str) -> pl.LazyFrame:
+        """The tables `name` of all recordings as one, which is not in memory."""
         files = [self.folders[recording] / name for recording in sorted(self.folders)]
         schema: dict[str, Any] = {}
         for file in files:
             schema |= pl.read_parquet_schema(file)
-        rows = pl.scan_parquet(files, schema=pl.Schema(schema), missing_columns="insert")
-        path = atomic_write(out / name, partial(rows.sink_parquet, compression_level=1))
-        return int(pl.scan_parquet(path).select(pl.len()).collect().item())
+        return pl.scan_parquet(files, schema=pl.Schema(schema), missing_columns="insert")
 
 
 def by_name(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

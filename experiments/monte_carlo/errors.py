@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
+from trackwright.experiments.monte_carlo.histograms import BINS, bins
 from trackwright.trackers.core.data.consistency import nees_of_leading, upper_entries
 from trackwright.trackers.core.data.estimates import Status
-from trackwright.trackers.evaluation.histograms import BINS, bins
 from trackwright.trackers.evaluation.metrics import terms_of
 from trackwright.trackers.evaluation.rows import ANGLES, AXES, bearing_sizes, position_sizes
 from trackwright.trackers.recordings.folder import RecordingFolder

@@ -15,9 +15,9 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.monte_carlo.declaration import Condition, Study
+from trackwright.experiments.monte_carlo.histograms import BINS, EDGES, with_quantiles
 from trackwright.experiments.text.expectations import Value
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.evaluation.histograms import BINS, EDGES, with_quantiles
 from trackwright.trackers.evaluation.metrics import METRICS, metrics
 from trackwright.trackers.recordings.columns import float_column
 

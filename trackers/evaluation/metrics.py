@@ -140,6 +140,14 @@ def sums(rows: pl.DataFrame, *by: str, of: Collection[str] = ()) -> pl.DataFrame
     return flat.group_by(by, maintain_order=True).agg(whole) if by else flat.select(whole)
 
 
+def added(parts: pl.DataFrame, rows: pl.LazyFrame) -> pl.DataFrame:
+    """The sums of all from those of parts (g,), and the quantiles of all their `rows`."""
+    most = {*LARGEST, *RESIDUALS}
+    whole = parts.select(pl.col(x).max() if x in most else pl.col(x).sum() for x in parts.columns if x not in QUANTILES)
+    known = _known(QUANTILES, rows.head(0).collect())
+    return whole.hstack(rows.select(_named(known)).collect())
+
+
 def terms_of(rows: pl.DataFrame) -> pl.DataFrame:
     """The `TERMS` (n,) of these rows, those whose columns there are."""
     return rows.select(**_known(TERMS, rows))

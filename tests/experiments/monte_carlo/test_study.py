@@ -9,6 +9,7 @@ from tests.experiments.monte_carlo.small_study import SMALL, TOML, study_command
 from trackwright.experiments.monte_carlo import chunk as one_chunk
 from trackwright.experiments.monte_carlo import errors
 from trackwright.experiments.monte_carlo.errors import TrackedRuns, _histograms, scored
+from trackwright.experiments.monte_carlo.histograms import BINS
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
 from trackwright.experiments.monte_carlo.sources import load_study
@@ -16,7 +17,6 @@ from trackwright.experiments.pages.reports.study_text import to_text
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.histograms import BINS
 from trackwright.trackers.evaluation.metrics import METRICS
 
 
