@@ -103,7 +103,12 @@ def residuals_of(
                 # Where a lever arm points is not known from the position.
                 seen = seen & (given["levers"][3 * k : 3 * k + 3] == 0.0).all(axis=0)
             for sign, source in _sources(given, k, len(block)):
-                values = {"residual": sign * residual.astype(float), "source": source, "block": block, "trajectory": number}
+                values = {
+                    "residual": sign * residual.astype(float),
+                    "source": source,
+                    "block": block,
+                    "trajectory": number,
+                }
                 yield f"{name}.{channel.name}", pl.DataFrame({key: x[seen] for key, x in values.items()})
 
 
