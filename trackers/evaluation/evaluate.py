@@ -17,7 +17,7 @@ from trackwright.trackers.core.data.frames import evaluation_html, evaluation_te
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.wording import counted, numbered_names
 from trackwright.trackers.evaluation.metrics import RESIDUALS, metrics, sums
-from trackwright.trackers.evaluation.rows import refuse_without_overlap, scored_rows
+from trackwright.trackers.evaluation.rows import is_scored, refuse_without_overlap, scored_rows
 from trackwright.trackers.evaluation.statements import covariance_statements
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.tracks_table import is_bearing, track_keys
@@ -101,7 +101,8 @@ def evaluate(
     """
     recordings = _several(recordings)
     rows = rows_of(estimates, recordings, every)
-    refuse_without_overlap(rows, truths_of(recordings))
+    if not is_scored(rows).any():
+        refuse_without_overlap(rows, truths_of(recordings))
     if isinstance(estimates, pl.DataFrame):
         return Evaluation.of(rows)
     from trackwright.trackers.evaluation.residuals import residual_ratios
@@ -159,7 +160,7 @@ def truths_of(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
         elif "position" in recording.truth:
             values, known = recording.truth["position"]
             axes = {f"{a}_m": x for a, x in zip("xyz", np.asarray(values, float)[known].T, strict=False)}
-            truths[name] = pl.DataFrame({"t_s": recording.times[known], **axes}).with_columns(tag=pl.lit(""))
+            truths[name] = pl.DataFrame({"t_s": recording.times[known], "tag": [""] * int(known.sum()), **axes})
     return truths
 
 

@@ -269,8 +269,8 @@ def _lost(rows: pl.DataFrame, times: np.ndarray, track: np.ndarray) -> dict[str,
 
 
 def refuse_without_overlap(rows: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> None:
-    """Raises UnusableInput, with the spans and tags of both, where no scored row lies inside a truth."""
-    if rows["why"].is_null().any():
+    """Raises UnusableInput, with the spans and tags of both, where no row is scored."""
+    if is_scored(rows).any():
         return
     known = rows.filter(pl.col("why") != "no estimate")
     expected = "expected estimates inside the span of a truth of the same recording and tag"
