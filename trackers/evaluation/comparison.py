@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.evaluation.metrics import metrics, sums
+from trackwright.trackers.evaluation.metrics import columns_of, metrics, sums
 from trackwright.trackers.recordings.columns import codes, float_column
 from trackwright.trackers.recordings.tracks_table import is_bearing, track_keys
 
@@ -75,7 +75,7 @@ def paired_differences(
     shared = np.intersect1d(runs[0]["piece"].to_numpy(), runs[1]["piece"].to_numpy())
     before, after = (_without_each(run, shared, names) for run in runs)
     return {
-        name: jackknifed(x[0], y[0], y[1:] - x[1:])._replace(kind=kind)
+        name: jackknifed(x[0].item(), y[0].item(), y[1:] - x[1:])._replace(kind=kind)
         for name, x in before.items()
         if (y := after.get(name)) is not None
     }
@@ -83,7 +83,8 @@ def paired_differences(
 
 def _without_each(rows: pl.DataFrame, pieces: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
     """The metrics by name, (1 + k,): of the rows in these k pieces, and of those without each of them."""
-    rows = rows.filter(pl.col("piece").is_in(pieces))
+    needed = columns_of(names) & {*rows.columns}
+    rows = rows.filter(pl.col("piece").is_in(pieces)).select("piece", *needed)
     parts = [sums(rows, of=names), *(sums(rows.filter(pl.col("piece") != piece), of=names) for piece in pieces)]
     found = metrics(pl.concat(parts), names)
     return {name: float_column(found, name) for name in found.columns}

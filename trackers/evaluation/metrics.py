@@ -130,14 +130,21 @@ def sums(rows: pl.DataFrame, *by: str, of: Collection[str] = ()) -> pl.DataFrame
 
     `of`: what these metrics need, else all.
     """
-    needed = {root for name in of for root in METRICS[name].expr.meta.root_names()}
-    terms, others = (
-        _known({name: x for name, x in table.items() if not of or name in needed}, rows)
-        for table in (TERMS, LARGEST | QUANTILES)
-    )
+    terms, others = (_known(_needed(table, of), rows) for table in (TERMS, LARGEST | QUANTILES))
     whole = [*(pl.col(f"term {name}").sum().alias(name) for name in terms), *_named(others)]
     flat = rows.with_columns(**{f"term {name}": x for name, x in terms.items()})
     return flat.group_by(by, maintain_order=True).agg(whole) if by else flat.select(whole)
+
+
+def _needed(table: Mapping[str, pl.Expr], of: Collection[str]) -> Mapping[str, pl.Expr]:
+    """What these metrics, else all, need of a table of expressions."""
+    roots = {root for name in of for root in METRICS[name].expr.meta.root_names()}
+    return {name: table[name] for name in table if name in roots} if of else table
+
+
+def columns_of(of: Collection[str]) -> set[str]:
+    """The columns of rows that these metrics need."""
+    return {root for x in _needed(TERMS | LARGEST | QUANTILES, of).values() for root in x.meta.root_names()}
 
 
 def added(parts: pl.DataFrame, rows: pl.LazyFrame) -> pl.DataFrame:

@@ -24,6 +24,8 @@ from trackwright.trackers.recordings.trajectories import Trajectories
 BLOCK_S = 5.0
 """Time, s, over which residuals are averaged."""
 
+_COLUMNS = ["residual", "source", "block", "trajectory"]
+
 LEAST_ROWS, LEAST_BLOCKS = 3, 8
 """Fewest residuals of a mean, and fewest means of a ratio."""
 
@@ -103,13 +105,8 @@ def residuals_of(
                 # Where a lever arm points is not known from the position.
                 seen = seen & (given["levers"][3 * k : 3 * k + 3] == 0.0).all(axis=0)
             for sign, source in _sources(given, k, len(block)):
-                values = {
-                    "residual": sign * residual.astype(float),
-                    "source": source,
-                    "block": block,
-                    "trajectory": number,
-                }
-                yield f"{name}.{channel.name}", pl.DataFrame({key: x[seen] for key, x in values.items()})
+                values = sign * residual.astype(float), source, block, number
+                yield f"{name}.{channel.name}", pl.DataFrame([x[seen] for x in values], _COLUMNS)
 
 
 def _sources(given: Mapping[str, np.ndarray], k: int, rows: int) -> list[tuple[int, Int[np.ndarray, " N"]]]:
