@@ -85,8 +85,8 @@ def _without_each(rows: pl.DataFrame, pieces: np.ndarray, names: Sequence[str]) 
     """The metrics by name, (1 + k,): of the rows in these k pieces, and of those without each of them."""
     needed = columns_of(names) & {*rows.columns}
     rows = rows.filter(pl.col("piece").is_in(pieces)).select("piece", *needed)
-    parts = [sums(rows, of=names), *(sums(rows.filter(pl.col("piece") != piece), of=names) for piece in pieces)]
-    found = metrics(pl.concat(parts), names)
+    parts = [rows, *(rows.filter(pl.col("piece") != piece) for piece in pieces)]
+    found = metrics(pl.concat([sums(part, of=names) for part in parts]), names)
     return {name: float_column(found, name) for name in found.columns}
 
 

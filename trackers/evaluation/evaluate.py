@@ -16,7 +16,7 @@ import polars as pl
 from trackwright.trackers.core.data.frames import evaluation_html, evaluation_text
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.wording import counted, numbered_names
-from trackwright.trackers.evaluation.metrics import RESIDUALS, metrics, sums
+from trackwright.trackers.evaluation.metrics import RESIDUALS, added, metrics, sums
 from trackwright.trackers.evaluation.rows import is_scored, refuse_without_overlap, scored_rows
 from trackwright.trackers.evaluation.statements import covariance_statements
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
@@ -58,11 +58,10 @@ class Evaluation:
             orient="row",
         )
         recordings = sums(rows, "recording").join(found, "recording", "left", maintain_order="left")
-        whole = sums(rows).with_columns(recordings.select(pl.col(*RESIDUALS).max()))
         tracks = sums(rows, *track_keys(rows)).with_columns(**dict.fromkeys(RESIDUALS, pl.lit(None, pl.Float64)))
         labelled = [(recordings, ["recording"]), (tracks, track_keys(rows))]
         levels = [of.select(keys).hstack(metrics(of)).to_dicts() for of, keys in labelled]
-        return cls(is_bearing(rows), metrics(whole).row(0, named=True), *levels)
+        return cls(is_bearing(rows), metrics(added(recordings, rows.lazy())).row(0, named=True), *levels)
 
     def __getitem__(self, metric: str) -> Any:
         if metric not in self.overall:

@@ -7,7 +7,7 @@ are those of `--fail-if`, of evaluation.json and of a study, in metres and radia
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import polars as pl
 from polars import selectors as cs
@@ -125,13 +125,17 @@ QUANTILES = {
 """Quantiles of groups of rows, by share and kind of error, or NEES."""
 
 
-def sums(rows: pl.DataFrame, *by: str, of: Collection[str] = ()) -> pl.DataFrame:
+Frame = TypeVar("Frame", pl.DataFrame, pl.LazyFrame)
+
+
+def sums(rows: Frame, *by: str, of: Collection[str] = ()) -> Frame:
     """The `TERMS` of these rows summed by the columns `by`, or over all of them, with largest values and quantiles.
 
     `of`: what these metrics need, else all.
     """
-    terms, others = (_known(_needed(table, of), rows) for table in (TERMS, LARGEST | QUANTILES))
-    whole = [*(pl.col(f"term {name}").sum().alias(name) for name in terms), *_named(others)]
+    terms: dict[str, pl.Expr] = _known(_needed(TERMS, of), rows)
+    others: dict[str, pl.Expr] = _known(_needed(LARGEST | QUANTILES, of), rows)
+    whole = [*(C(f"term {name}").sum().alias(name) for name in terms), *_named(others)]
     flat = rows.with_columns(**{f"term {name}": x for name, x in terms.items()})
     return flat.group_by(by, maintain_order=True).agg(whole) if by else flat.select(whole)
 
@@ -149,15 +153,9 @@ def columns_of(of: Collection[str]) -> set[str]:
 
 def added(parts: pl.DataFrame, rows: pl.LazyFrame) -> pl.DataFrame:
     """The sums of all from those of parts (g,), and the quantiles of all their `rows`."""
-    most = {*LARGEST, *RESIDUALS}
-    whole = parts.select(pl.col(x).max() if x in most else pl.col(x).sum() for x in parts.columns if x not in QUANTILES)
-    known = _known(QUANTILES, rows.head(0).collect())
-    return whole.hstack(rows.select(_named(known)).collect())
-
-
-def terms_of(rows: pl.DataFrame) -> pl.DataFrame:
-    """The `TERMS` (n,) of these rows, those whose columns there are."""
-    return rows.select(**_known(TERMS, rows))
+    most, known = {*LARGEST, *RESIDUALS}, [name for name in QUANTILES if name in parts.columns]
+    whole = parts.select(C(x).max() if x in most else C(x).sum() for x in parts.columns if parts[x].dtype != pl.String)
+    return whole.with_columns(sums(rows).select(known).collect())
 
 
 def metrics(of: pl.DataFrame, names: Collection[str] | None = None) -> pl.DataFrame:
@@ -166,9 +164,14 @@ def metrics(of: pl.DataFrame, names: Collection[str] | None = None) -> pl.DataFr
     return of.select(*_named(known)).with_columns(cs.float().fill_nan(None))
 
 
-def _known(expressions: Mapping[str, pl.Expr], frame: pl.DataFrame) -> dict[str, pl.Expr]:
+def terms_of(rows: pl.DataFrame) -> pl.DataFrame:
+    """The `TERMS` (n,) of these rows, those whose columns there are."""
+    return rows.select(*_named(_known(TERMS, rows)))
+
+
+def _known(expressions: Mapping[str, pl.Expr], frame: pl.DataFrame | pl.LazyFrame) -> dict[str, pl.Expr]:
     """The expressions of columns that the frame has."""
-    columns = {*frame.columns}
+    columns = {*frame.collect_schema()}
     return {name: x for name, x in expressions.items() if columns.issuperset(x.meta.root_names())}
 
 

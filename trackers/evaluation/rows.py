@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.consistency import Entries, eliminated
+from trackwright.trackers.core.data.consistency import eliminated, upper_entries
 from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Station
@@ -106,12 +106,11 @@ def last_of_intervals(times: np.ndarray, scored: np.ndarray, every: float | None
     """
     if every is None:
         return scored
-    rows, kept = np.flatnonzero(scored), np.zeros_like(scored)
+    rows = np.flatnonzero(scored)
     # 0.3 s belongs to the interval that starts there although 0.3 / 0.1 is 2.9999999999999996.
     interval = np.floor(times[rows] / every + 1e-6)
-    new = (np.diff(interval) != 0) | (np.diff(track[rows]) != 0)
-    kept[rows[np.append(new, True)[: len(rows)]]] = True
-    return kept
+    later = np.append((np.diff(interval) == 0) & (np.diff(track[rows]) == 0), False)
+    return np.isin(np.arange(len(scored)), rows[~later[: len(rows)]])
 
 
 def wrapped(angles: np.ndarray) -> np.ndarray:
@@ -156,40 +155,30 @@ def _direction(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def covariances(rows: pl.DataFrame) -> np.ndarray:
     """Reported position covariances (n, 3, 3), m²; covariances missing in the table are zero."""
-    return _whole(_upper_entries(rows), 3)
-
-
-def _whole(upper: Entries, dimensions: int) -> np.ndarray:
-    """Covariances (n, d, d) from their entries in the upper triangle."""
-    covs = np.empty((dimensions, dimensions, len(upper[0, 0])))
-    for (i, j), entry in upper.items():
-        if j < dimensions:
-            covs[i, j] = covs[j, i] = entry
-    return np.moveaxis(covs, -1, 0)
-
-
-def _upper_entries(rows: pl.DataFrame) -> dict[tuple[int, int], np.ndarray]:
-    """The entries (n,) of `covariances` by row and column, those of the upper triangle."""
-    # A negative standard deviation is no variance.
-    entries = {(i, i): (std := float_column(rows, f"std_{a}")) * np.abs(std) for i, a in enumerate(AXES)}
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        entries[i, j] = np.nan_to_num(float_column(rows, f"cov_{'xyz'[i]}{'xyz'[j]}_m2"))
-    return entries
+    entries = np.empty((3, 3, len(rows)))
+    for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        if i == j:
+            # A negative standard deviation is no variance.
+            entries[i, i] = (std := float_column(rows, f"std_{AXES[i]}")) * np.abs(std)
+        else:
+            cov = np.nan_to_num(float_column(rows, f"cov_{'xyz'[i]}{'xyz'[j]}_m2"))
+            entries[i, j] = entries[j, i] = cov
+    return np.moveaxis(entries, -1, 0)
 
 
 def _positions(rows: pl.DataFrame, truth: np.ndarray, scored: np.ndarray, track: np.ndarray) -> dict[str, np.ndarray]:
     """Errors, sizes and consistency of positions."""
     estimates = np.stack([float_column(rows, axis) for axis in AXES], axis=1)
     errors = np.where(scored[:, None], estimates - truth, np.nan)
-    upper, cov = _upper_entries(rows), float_column(rows, "cov_xy_m2")
+    P, cov = covariances(rows), float_column(rows, "cov_xy_m2")
     # A covariance that other rows have is missing here.
-    reported = [upper[0, 0], upper[1, 1], *([cov] if np.nan_to_num(cov).any() else [])]
+    reported = [P[:, 0, 0], P[:, 1, 1], *([cov] if np.nan_to_num(cov).any() else [])]
     # A known height has no standard deviation in any row of its track.
     free = np.bincount(track, np.nan_to_num(float_column(rows, "std_z_m")) != 0)[track] > 0
     columns = {f"error_{axis}": error for axis, error in zip(AXES, errors.T, strict=True)}
     columns |= {f"size_{kind}": size for kind, size in position_sizes(errors).items()}
-    columns |= _consistency(errors[:, :2], upper, reported, track)
-    return columns | _consistency(errors, upper, [*reported, np.where(free, upper[2, 2], np.nan)], track, "_3d")
+    columns |= _consistency(errors[:, :2], P[:, :2, :2], reported, track)
+    return columns | _consistency(errors, P, [*reported, np.where(free, P[:, 2, 2], np.nan)], track, "_3d")
 
 
 def _bearings(
@@ -208,20 +197,20 @@ def _bearings(
         if len(part):
             true[part] = known[ident].angles(truth[part])
     errors, sizes = bearing_sizes(np.stack([float_column(rows, angle) for angle in ANGLES], axis=1), true)
-    azimuth, elevation = ((std := float_column(rows, f"std_{angle}")) * np.abs(std) for angle in ANGLES)
-    upper = {(0, 0): azimuth, (0, 1): np.zeros(len(rows)), (1, 1): elevation}
+    P = np.zeros((len(rows), 2, 2))
+    for k, angle in enumerate(ANGLES):
+        P[:, k, k] = (std := float_column(rows, f"std_{angle}")) * np.abs(std)
     columns = {f"error_{angle}": error for angle, error in zip(ANGLES, errors.T, strict=True)}
     columns |= {f"size_{kind}": size for kind, size in sizes.items()}
-    return columns | _consistency(errors, upper, [azimuth, elevation], track, energy=False)
+    return columns | _consistency(errors, P, [P[:, 0, 0], P[:, 1, 1]], track, energy=False)
 
 
 def _consistency(
-    errors: np.ndarray, upper: Entries, reported: list[np.ndarray], track: np.ndarray, space: str = "",
+    errors: np.ndarray, P: np.ndarray, reported: list[np.ndarray], track: np.ndarray, space: str = "",
     energy: bool = True,
 ) -> dict[str, np.ndarray]:  # fmt: skip
     """NEES (n,) of errors (n, d) and what goes with it; `reported`: covariances without which there is none."""
-    d = errors.shape[1]
-    parts, variances = np.stack(eliminated(errors, upper), axis=1)
+    parts, variances = np.stack(eliminated(errors, upper_entries(P)), axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
         nees = (parts**2 / variances).sum(axis=0)
     there = np.isfinite([*errors.T, *reported]).all(axis=0)
@@ -232,7 +221,7 @@ def _consistency(
         "slow": _lasting((parts / np.sqrt(variances)).T[known], track[known], 2),
     }
     if energy:
-        values["energy"] = energy_scores(errors[known], _whole({at: x[known] for at, x in upper.items()}, d))
+        values["energy"] = energy_scores(errors[known], P[known])
     columns = {f"nees{space}": nees}
     for name, x in values.items():
         columns[name + space] = np.full(len(nees), np.nan)
