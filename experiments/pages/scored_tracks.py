@@ -20,6 +20,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.bounds import bounds_of
 from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
+from trackwright.trackers.evaluation.metrics import metrics, sums
 from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, is_scored, scored_rows, wrapped
 from trackwright.trackers.recordings.columns import float_column, run_starts
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -86,7 +87,7 @@ class ScoredRecording:
         """Mask (n,) of the rows with both an estimate and a truth."""
         return is_scored(self.rows)
 
-    @property
+    @cached_property
     def errors(self) -> np.ndarray:
         """The errors (n, 3), m, or of bearings (n, 2), rad; NaN for a known height and in rows that are not scored."""
         errors = self.columns(*(f"error_{name}" for name in (ANGLES if self.angles else AXES)))
@@ -94,12 +95,12 @@ class ScoredRecording:
             errors[~(float_column(self.rows, "std_z_m") > 0), 2] = np.nan
         return errors
 
-    @property
+    @cached_property
     def miss(self) -> np.ndarray:
         """The horizontal error (n,), m, or the angle between estimated and true direction, rad."""
         return float_column(self.rows, main_size(self.rows))
 
-    @property
+    @cached_property
     def starts(self) -> np.ndarray:
         """The first row of each of the g tracks, then their number (g + 1,)."""
         return run_starts(self.rows, ["track"])
@@ -130,8 +131,7 @@ class ScoredRecording:
 
     def sigmas(self) -> np.ndarray:
         """The reported standard deviations, with shape and unit of `errors`; NaN for a known height."""
-        names = ("std_azimuth_rad", "std_elevation_rad") if self.angles else ("std_x_m", "std_y_m", "std_z_m")
-        sigmas = self.columns(*names)
+        sigmas = self.columns(*(f"std_{name}" for name in (ANGLES if self.angles else AXES)))
         sigmas[sigmas == 0] = np.nan
         return sigmas
 
@@ -175,7 +175,8 @@ class ScoredRecording:
     @cached_property
     def rmse(self) -> np.ndarray:
         """The RMSE of each track (g,), horizontal in m or of the direction in rad; NaN without truth."""
-        return np.array([root_mean_square(self.miss[self.rows_of(k)]) for k in range(len(self.starts) - 1)])
+        name = main_size(self.rows).replace("size", "rmse")
+        return float_column(metrics(sums(self.rows, "track", of=[name])), name)
 
     @property
     def overall_rmse(self) -> float:
@@ -204,10 +205,11 @@ class ScoredTracks:
     @cached_property
     def recordings(self) -> list[ScoredRecording]:
         """Each recording with its rows; those with figures with what their bounds need."""
-        parts = [self.rows.filter(pl.col("recording") == folder.name) for folder in self.folders]
         recordings = [
-            ScoredRecording(folder, part, noise_of(folder, self.batches))
-            for folder, part in zip(self.folders, parts, strict=True)
+            ScoredRecording(
+                folder, self.rows.filter(pl.col("recording") == folder.name), noise_of(folder, self.batches)
+            )
+            for folder in self.folders
         ]
         for k in drawn_of(np.array([one.overall_rmse for one in recordings]), self.bearing):
             recordings[k] = replace(recordings[k], batches=self.batches)
