@@ -35,27 +35,41 @@ class Metric(NamedTuple):
     right: float | None = None
 
 
-class ErrorKind(NamedTuple):
-    """A kind of errors: words that follow those of a statistic, and how the headings of its columns begin.
+COLUMNS = {
+    "n": ("n", 0, True),
+    "rmse_m": ("RMSE", 0, True),
+    "median_m": ("median", 2, True),
+    "p90_m": ("p90", 3, False),
+    "p95_m": ("p95", 0, True),
+    "p99_m": ("p99", 3, False),
+    "max_m": ("max", 0, True),
+    "rmse_3d_m": ("3-D\nRMSE", 0, True),
+    "p95_3d_m": ("3-D\np95", 3, False),
+    "rmse_heading_rad": ("heading,\n° RMSE", 0, True),
+    "p95_heading_rad": ("heading,\n° p95", 3, False),
+    "rmse_azimuth_rad": ("az\nRMSE", 0, True),
+    "bias_azimuth_rad": ("az\nbias", 3, False),
+    "rmse_elevation_rad": ("el\nRMSE", 0, True),
+    "bias_elevation_rad": ("el\nbias", 3, False),
+    "rmse_direction_rad": ("angle\nRMSE", 1, True),
+    "median_direction_rad": ("angle\nmedian", 2, False),
+    "p95_direction_rad": ("angle\np95", 0, True),
+    "coverage_50": ("% in\n50 %", 1, False),
+    "coverage_90": ("\n90 %", 1, False),
+    "coverage_95": ("% in\n95 %", 0, True),
+    "coverage_99": ("\n99 %", 1, False),
+    "nees_ratio": ("NEES\n/dof", 0, True),
+    "regret": ("regret", 0, True),
+    "log_density": ("log\ndensity", 1, True),
+    "energy_score_m": ("energy\nscore", 2, True),
+    "nis_ratio": ("NIS\n/dof", 2, True),
+    "lost_s": ("lost", 0, True),
+}
+"""The metrics with a column in tables: `short`, `rank` and `page` of `Metric`."""
 
-    `shown`: rank and page, as of `Metric`, of the statistics that have a column.
-    """
-
-    words: str
-    short: str
-    shown: Mapping[str, tuple[int, bool]]
-
-
-ERROR_KINDS = {
-    "m": ErrorKind("", "", {"rmse": (0, True), "median": (2, True), "p90": (3, False), "p95": (0, True),
-                            "p99": (3, False), "max": (0, True)}),
-    "3d_m": ErrorKind("in 3-D", "3-D\n", {"rmse": (0, True), "p95": (3, False)}),
-    "heading_rad": ErrorKind("of heading", "heading,\n° ", {"rmse": (0, True), "p95": (3, False)}),
-    "direction_rad": ErrorKind("of direction", "angle\n", {"rmse": (1, True), "median": (2, False), "p95": (0, True)}),
-    "azimuth_rad": ErrorKind("of azimuth", "az\n", {"rmse": (0, True), "bias": (3, False)}),
-    "elevation_rad": ErrorKind("of elevation", "el\n", {"rmse": (0, True), "bias": (3, False)}),
-}  # fmt: skip
-"""The kinds of errors by the suffix of the names of their metrics."""
+ERROR_KINDS = {"m": "", "3d_m": "in 3-D", "heading_rad": "of heading", "direction_rad": "of direction",
+               "azimuth_rad": "of azimuth", "elevation_rad": "of elevation"}  # fmt: skip
+"""The kinds of errors by the suffix of the names of their metrics, with the words that follow those of a statistic."""
 
 SHARES = {"median": (0.5, "median error"), "p90": (0.9, "90th percentile"), "p95": (0.95, "95th percentile"),
           "p99": (0.99, "99th percentile")}  # fmt: skip
@@ -185,48 +199,39 @@ def _of_kind(kind: str) -> Iterator[Metric]:
     statistics = {"rmse": ("RMSE", (squares / n).sqrt()), "mean": ("mean error", total / n)}
     statistics |= {name: (words, C(f"{share} {kind}")) for name, (share, words) in SHARES.items()}
     for name, (words, expr) in (statistics | {"max": ("largest error", C(f"largest {kind}"))}).items():
-        yield _shown(kind, name, f"{words} {ERROR_KINDS[kind].words}".strip(), expr)
+        yield Metric(f"{name}_{kind}", f"{words} {ERROR_KINDS[kind]}".strip(), _unit(kind), expr)
 
 
 def _bias(component: str) -> Metric:
     """The mean error of a component."""
-    words = f"bias {ERROR_KINDS[component].words if component in ERROR_KINDS else f'in {component[0]}'}"
-    return _shown(component, "bias", words, C(f"bias {component}") / C(f"n {BIASES[component]}"))
+    words, mean = ERROR_KINDS.get(component, f"in {component[0]}"), C(f"bias {component}") / C(f"n {BIASES[component]}")
+    return Metric(f"bias_{component}", f"bias {words}", _unit(component), mean)
 
 
-def _shown(kind: str, name: str, words: str, expr: pl.Expr) -> Metric:
-    metric = Metric(f"{name}_{kind}", words, kind.rpartition("_")[2], expr)
-    if kind not in ERROR_KINDS or name not in ERROR_KINDS[kind].shown:
-        return metric
-    rank, page = ERROR_KINDS[kind].shown[name]
-    return metric._replace(short=ERROR_KINDS[kind].short + name.replace("rmse", "RMSE"), rank=rank, page=page)
+def _unit(kind: str) -> str:
+    return kind.rpartition("_")[2]
 
 
 def _consistency(name: str, dof: int) -> Iterator[Metric]:
-    """The metrics of NEES: `nees`, with columns in tables, or `nees_3d`."""
-    flat, end = name == "nees", name.removeprefix("nees")
-    shape, space = ("ellipse", "") if flat else ("ellipsoid", " in 3-D")
-    columns = {50: ("% in\n50 %", 1), 90: ("\n90 %", 1), 95: ("% in\n95 %", 0), 99: ("\n99 %", 1)} if flat else {}
+    """The metrics of NEES: `nees`, or `nees_3d`."""
+    end, shape, space = ("_3d", "ellipsoid", " in 3-D") if dof == 3 else ("", "ellipse", "")
     n, mean = C(f"n {name}"), C(f"sum {name}") / C(f"n {name}")
     for what, words in (("no", "rows without a covariance"), ("zero", "rows with a zero or singular covariance")):
         yield Metric(f"n_{what}_covariance{end}", words + space, "rows", C(f"{what} {name}"))
     for p in LEVELS:
-        short, rank = columns.get(p, ("", 0))
-        expr, words = C(f"inside {p} {name}") / C(f"judged {name}"), f"inside the {p} % {shape}"
-        yield Metric(f"coverage_{p}{end}", words, "%", expr, short, rank, flat and p == 95, p / 100)
+        inside = C(f"inside {p} {name}") / C(f"judged {name}")
+        yield Metric(f"coverage_{p}{end}", f"inside the {p} % {shape}", "%", inside, right=p / 100)
     yield Metric(f"{name}_mean", f"NEES{space}, {dof} expected", "", mean, right=float(dof))
-    words = f"NEES per degree of freedom{space}, 1 expected"
-    yield Metric(f"{name}_ratio", words, "", mean / dof, "NEES\n/dof" * flat, 0, flat, 1.0)
-    words = f"log density lost by the scale of the covariances{space}"
-    yield Metric(f"regret{end}", words, "nats", regret(mean / dof), "regret" * flat, 0, flat)
+    yield Metric(f"{name}_ratio", f"NEES per degree of freedom{space}, 1 expected", "", mean / dof, right=1.0)
+    lost = f"log density lost by the scale of the covariances{space}"
+    yield Metric(f"regret{end}", lost, "nats", regret(mean / dof))
     yield from _band(name, end, space, dof)
-    words, density = f"mean log density of the true position{space}", C(f"log density {name}") / n
-    yield Metric(f"log_density{end}", words, "nats", density, "log\ndensity" * flat, 1, flat)
-    energy = C(f"energy {name}") / n
-    yield Metric(f"energy_score{end}_m", f"energy score{space}", "m", energy, "energy\nscore" * flat, 2, flat)
-    words = f"reported standard deviations too small{space} by a factor of"
+    density = C(f"log density {name}") / n
+    yield Metric(f"log_density{end}", f"mean log density of the true position{space}", "nats", density)
+    yield Metric(f"energy_score{end}_m", f"energy score{space}", "m", C(f"energy {name}") / n)
     # Above 1 the 50 % ellipse holds less than half of the truth.
-    yield Metric(f"sigma_factor{end}", words, "", (C(f"0.5 {name}") / chi_square_quantile(0.5, dof)).sqrt())
+    factor = (C(f"0.5 {name}") / chi_square_quantile(0.5, dof)).sqrt()
+    yield Metric(f"sigma_factor{end}", f"reported standard deviations too small{space} by a factor of", "", factor)
 
 
 def _band(name: str, end: str, space: str, dof: pl.Expr | int) -> Iterator[Metric]:
@@ -239,16 +244,13 @@ def _band(name: str, end: str, space: str, dof: pl.Expr | int) -> Iterator[Metri
         yield Metric(f"{name}_{side}", words, "", band(samples, dof, z))
 
 
-RESIDUALS = {
-    "residual_ratio_5s": ("residuals' 5 s means, relative to most residuals", ""),
-    "residual_part_5s": ("part of the residuals' square that lasts 5 s", "%"),
-}
-"""The metrics of `residual_ratios`, of recordings alone: words and unit."""
+RESIDUALS = ("residual_ratio_5s", "residual_part_5s")
+"""The metrics of `residual_ratios`, of recordings alone."""
 
 METRICS = {
-    metric.name: metric
+    metric.name: metric._replace(short=short, rank=rank, page=page)
     for metric in (
-        Metric("n", "scored rows", "rows", C("n"), "n", 0, True),
+        Metric("n", "scored rows", "rows", C("n")),
         Metric("n_rows", "rows", "rows", C("n_rows")),
         Metric("n_no_estimate", "rows without an estimate", "rows", C("n_no_estimate")),
         Metric("n_no_truth", "rows outside the truth", "rows", C("n_no_truth")),
@@ -265,16 +267,17 @@ METRICS = {
         *_of_kind("direction_rad"),
         *_consistency("nees", 2),
         *_consistency("nees_3d", 3),
-        Metric("nis_ratio", "NIS per degree of freedom, 1 expected", "", C("nis") / C("dof"), "NIS\n/dof", 2, True,
-               1.0),
+        Metric("nis_ratio", "NIS per degree of freedom, 1 expected", "", C("nis") / C("dof"), right=1.0),
         *_band("nis", "_nis", "", C("dof") / C("n nis")),
-        *(Metric(name, *about, C(name)) for name, about in RESIDUALS.items()),
-        Metric("lost_s", "time lost", "s", C("lost s"), "lost", 0, True),
+        Metric("residual_ratio_5s", "residuals' 5 s means, relative to most residuals", "", C("residual_ratio_5s")),
+        Metric("residual_part_5s", "part of the residuals' square that lasts 5 s", "%", C("residual_part_5s")),
+        Metric("lost_s", "time lost", "s", C("lost s")),
         Metric("lost_fraction", "rows lost", "%", pl.when(C("span s") > 0).then(C("lost s") / C("span s"))
                .otherwise(C("lost rows") / C("n_rows"))),
         Metric("losses", "times lost", "", C("losses")),
         Metric("diverged", "trajectories lost at least once", "%", C("diverged") / C("trajectories")),
         Metric("failed", "trajectories without a usable estimate", "%", C("failed") / C("trajectories")),
     )
+    for short, rank, page in [COLUMNS.get(metric.name, ("", 0, False))]
 }  # fmt: skip
 """All metrics by name, in the order of files and tables."""

@@ -165,7 +165,7 @@ def _distributions(axes: Axes, results: Results, condition: Condition, kind: str
             curves.append(Curve(tracker, edges * unit.factor, 100 * share))
             looks.append(_look(number))
     end = max(float(curve.errors[np.searchsorted(curve.shares, 98.0)]) for curve in curves)
-    quantity = f"{f'error {ERROR_KINDS[kind].words}'.strip()}, {unit.name}"
+    quantity = f"{f'error {ERROR_KINDS[kind]}'.strip()}, {unit.name}"
     draw_distributions(axes, curves, quantity, end, looks=looks)
     axes.set_title(literal(title))
     _legend(axes)
