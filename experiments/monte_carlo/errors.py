@@ -45,7 +45,7 @@ class TrackedRuns(NamedTuple):
 
 
 def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The arrays of `scored` of all trajectories, from those of some after others."""
+    """The arrays of `scored` of all trajectories, from some after others."""
     first = 0
     for part in parts:
         for name in part:

@@ -30,7 +30,7 @@ BINS = 600
 
 COMPARED = ("rmse_m", "median_m", "p95_m", "rmse_direction_rad", "median_direction_rad", "p95_direction_rad",
             "rmse_3d_m", "coverage_95", "log_density", "energy_score_m")  # fmt: skip
-"""The metrics of which differences are taken."""
+"""The metrics that are compared."""
 
 
 class Difference(NamedTuple):
@@ -119,7 +119,7 @@ def _in_pieces(runs: Sequence[pl.DataFrame]) -> list[pl.DataFrame]:
 def paired_means(times: np.ndarray, first: np.ndarray, second: np.ndarray, recording: np.ndarray) -> Difference:
     """The difference of the means of two values (n,) of the same rows; all recordings have the same weight.
 
-    `times` (n,), s; `recording` (n,): the name of that of each row.
+    `times` (n,), s; `recording` (n,): its name.
     """
     _, of, rows = np.unique(recording, return_inverse=True, return_counts=True)
     spans = [(times[of == k].min(), times[of == k].max()) for k in range(len(rows))]

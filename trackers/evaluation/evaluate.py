@@ -138,7 +138,7 @@ def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
 
 
 def _refuse_other_places(estimated: Sequence[str], given: Sequence[str]) -> None:
-    """Raises UnusableInput for recordings of one name that are not those of the run in its order."""
+    """Raises UnusableInput for recordings of one name that differ from the run's, or from their order."""
     if len(set(estimated)) < len(estimated) and list(estimated) != list(given):
         name, count = Counter(estimated).most_common(1)[0]
         raise UnusableInput(

@@ -15,7 +15,7 @@ LEAST_SAMPLES = 8.0
 """Effective samples below which a recording is too short for a verdict."""
 
 UNCERTAIN = 3.0
-"""The band is that of n²/(n + 3) samples: n itself is estimated, which matters below some 20 samples."""
+"""The band belongs to n²/(n + 3) samples: n itself is estimated, which matters below some 20 samples."""
 
 WINDOW = 3.0
 """Lags up to which the autocorrelation is summed, in correlation times of the sum so far."""

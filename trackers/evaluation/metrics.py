@@ -69,7 +69,7 @@ COLUMNS = {
 
 ERROR_KINDS = {"m": "", "3d_m": "in 3-D", "heading_rad": "of heading", "direction_rad": "of direction",
                "azimuth_rad": "of azimuth", "elevation_rad": "of elevation"}  # fmt: skip
-"""The kinds of errors by the suffix of the names of their metrics, with the words that follow those of a statistic."""
+"""The kinds of errors by the suffix of the names of their metrics, with the words after a statistic's."""
 
 SHARES = {"median": (0.5, "median error"), "p90": (0.9, "90th percentile"), "p95": (0.95, "95th percentile"),
           "p99": (0.99, "99th percentile")}  # fmt: skip
@@ -166,7 +166,7 @@ def columns_of(of: Collection[str]) -> set[str]:
 
 
 def added(parts: pl.DataFrame, rows: pl.LazyFrame) -> pl.DataFrame:
-    """The sums of all from those of parts (g,), and the quantiles of all their `rows`."""
+    """The sums of all from sums of parts (g,), and the quantiles of all their `rows`."""
     most, known = {*LARGEST, *RESIDUALS}, [name for name in QUANTILES if name in parts.columns]
     whole = parts.select(C(x).max() if x in most else C(x).sum() for x in parts.columns if parts[x].dtype != pl.String)
     return whole.with_columns(sums(rows).select(known).collect())

@@ -31,7 +31,7 @@ LEAST_ROWS, LEAST_BLOCKS = 3, 8
 
 
 def residual_ratios(tracks: Tracks) -> dict[str, tuple[float, float]]:
-    """Of each recording with enough readings, the size of 5 s means of residuals relative to that of most residuals.
+    """Of each recording with enough readings, the size of 5 s means of residuals relative to most residuals.
 
     The root mean square over the means of each station or anchor, of residuals about their median, divided by the
     robust standard deviation (median absolute deviation) of all residuals. At most about 1 for normal residuals,

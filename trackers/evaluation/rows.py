@@ -129,7 +129,7 @@ def position_sizes(errors: np.ndarray) -> dict[str, np.ndarray]:
 def bearing_sizes(estimates: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The errors (…, 2) of azimuth and elevation, rad, and their sizes (…) by kind, the main one first.
 
-    In the plane of an array each azimuth is ± 90°, so that its error and that of the elevation are unknown.
+    In the plane of an array each azimuth is ± 90°, so that the errors of both angles are unknown.
     """
     errors, plane = estimates - truth, in_plane(estimates[..., 0])
     errors[..., 0] = wrapped(errors[..., 0])
