@@ -109,7 +109,7 @@ def _in_pieces(runs: Sequence[pl.DataFrame]) -> list[pl.DataFrame]:
     times = [float_column(run, "t_s") for run in runs]
     of = [codes(run["recording"], names) for run in runs]
     shared = [[t[number == k] for t, number in zip(times, of, strict=True)] for k in range(len(names))]
-    spans = [(max(x.min() for x in both), min(x.max() for x in both)) for both in shared]
+    spans = np.array([(max(x.min() for x in both), min(x.max() for x in both)) for both in shared])
     squares = [run[main_size(run)].to_numpy() ** 2 for run in runs]
     length = _piece_length([*zip(times, squares, strict=True)], of, spans)
     pieces = (_numbered(t, number, spans, length) for t, number in zip(times, of, strict=True))
@@ -122,7 +122,7 @@ def paired_means(times: np.ndarray, first: np.ndarray, second: np.ndarray, recor
     `times` (n,), s; `recording` (n,): its name.
     """
     _, of, rows = np.unique(recording, return_inverse=True, return_counts=True)
-    spans = [(times[of == k].min(), times[of == k].max()) for k in range(len(rows))]
+    spans = np.array([(times[of == k].min(), times[of == k].max()) for k in range(len(rows))])
     # About the mean of each recording: what differs between them is no correlation in time.
     means = np.bincount(of, second - first) / rows
     length = _piece_length([(times, np.zeros(len(of))), (times, second - first - means[of])], [of, of], spans)
@@ -133,37 +133,33 @@ def paired_means(times: np.ndarray, first: np.ndarray, second: np.ndarray, recor
     return jackknifed(float(a.sum() / weight.sum()), float(b.sum() / weight.sum()), without)
 
 
-def _numbered(times: np.ndarray, of: np.ndarray, spans: Sequence[tuple], length: float) -> np.ndarray:
+def _numbered(times: np.ndarray, of: np.ndarray, spans: np.ndarray, length: float) -> np.ndarray:
     """The piece (n,) of each row of the recordings `of` (n,), whose spans have pieces of that length, s; −1 outside."""
-    piece, before = np.full(len(times), -1), 0
-    for k, (begin, end) in enumerate(spans):
-        count = max(int((end - begin) / length), 1) if end > begin else 1
-        in_span = np.flatnonzero((of == k) & (times >= begin) & (times <= end))
-        share = (times[in_span] - begin) / max(end - begin, 1e-9)
-        piece[in_span] = before + np.minimum((share * count).astype(int), count - 1)
-        before += count
-    return piece
+    begin, end = spans.T
+    counts = np.maximum(((end - begin) / length).astype(int), 1)
+    share = (times - begin[of]) / np.maximum(end - begin, 1e-9)[of]
+    piece = (np.cumsum(counts) - counts)[of] + np.minimum((share * counts[of]).astype(int), counts[of] - 1)
+    return np.where((times >= begin[of]) & (times <= end[of]), piece, -1)
 
 
 def _piece_length(
-    values: Sequence[tuple[np.ndarray, np.ndarray]], recording: Sequence[np.ndarray], spans: Sequence[tuple]
+    values: Sequence[tuple[np.ndarray, np.ndarray]], recording: Sequence[np.ndarray], spans: np.ndarray
 ) -> float:
     """Seconds: a thirtieth of the time of all recordings, and several correlation times of the difference.
 
-    `values`: of each run, the times of its rows and the values whose difference that is.
+    `values`: of each run, the times of its rows and the values whose difference that is. `spans` (r, 2), s.
     """
-    total = sum(max(end - begin, 0.0) for begin, end in spans)
-    width, runs = max(total / BINS, 1e-9), []
-    for k, (begin, end) in enumerate(spans):
-        count = max(int((end - begin) / width), 1)
-        means = []
-        for (times, value), of in zip(values, recording, strict=True):
-            in_span = (of == k) & (times >= begin) & (times <= end)
-            place = np.minimum(((times[in_span] - begin) / width).astype(int), count - 1)
-            n = np.bincount(place, minlength=count)
-            means.append(np.bincount(place, value[in_span], minlength=count) / np.where(n, n, np.nan))
-        difference = means[1] - means[0]
-        runs.append(difference[np.isfinite(difference)])
+    begin, end = spans.T
+    total = float(np.maximum(end - begin, 0.0).sum())
+    width, means = max(total / BINS, 1e-9), []
+    counts = np.maximum(((end - begin) / width).astype(int), 1)
+    for (times, value), of in zip(values, recording, strict=True):
+        inside = (times >= begin[of]) & (times <= end[of])
+        number, bins = of[inside], ((times - begin[of])[inside] / width).astype(int)
+        place = (np.cumsum(counts) - counts)[number] + np.minimum(bins, counts[number] - 1)
+        n, sums_of = (np.bincount(place, x, counts.sum()) for x in (None, value[inside]))
+        means.append(sums_of / np.where(n, n, np.nan))
+    runs = [x[np.isfinite(x)] for x in np.split(means[1] - means[0], np.cumsum(counts)[:-1])]
     return max(total / MOST_PIECES, CORRELATION_TIMES * width * _correlation_time(runs), 1e-9)
 
 
