@@ -16,6 +16,7 @@ import polars as pl
 
 from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.archive_part import (
+    ERRORS,
     SCORED,
     TRACKED,
     Item,
@@ -23,7 +24,6 @@ from trackwright.experiments.cli.archive_part import (
     RecordingStore,
     Scoring,
     Tracking,
-    errors_file,
     refusal,
 )
 from trackwright.experiments.cli.archive_tables import Refusals, Run, compared, gathered, read_results, write_results
@@ -71,7 +71,7 @@ def track_archive(
         write_results(options.out, rows)
         for run in runs:
             out = output_folder(options.out if len(runs) == 1 else options.out / run.short)
-            evaluation, count = run.write(out, errors_file(TRACKED)), run.write_table(out, TRACKS)
+            evaluation, count = run.write(out, ERRORS[TRACKED]), run.write_table(out, TRACKS)
             run.write_table(out, EVENTS)
             run.write_sources(out)
             tracks = counted(sum(run.endings.values()), "track")
@@ -243,7 +243,7 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
         write_results(out, rows)
         failed = False
         for run in runs:
-            evaluation = run.write(out if len(runs) == 1 else output_folder(out / run.short), errors_file(SCORED))
+            evaluation = run.write(out if len(runs) == 1 else output_folder(out / run.short), ERRORS[SCORED])
             put(_shown(run, evaluation))
             failed |= bool(code_of(evaluation, fail_if, f"{run.short}: "))
         _compare(runs)

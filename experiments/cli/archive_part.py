@@ -46,10 +46,8 @@ from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TR
 TRACKED, SCORED = "tracked.json", "scored.json"
 """The files that `track` and `evaluate` write last into the folder of a finished recording."""
 
-
-def errors_file(name: str) -> str:
-    """The table of the errors from which percentiles of all recordings are taken, by the file that is written last."""
-    return Path(name).with_suffix(".parquet").name
+ERRORS = {TRACKED: "tracked.parquet", SCORED: "scored.parquet"}
+"""Beside them the table of errors from which the percentiles of all recordings are taken."""
 
 
 @dataclass(frozen=True)
@@ -235,8 +233,12 @@ class Tracking:
         happened = events_of(tracks.table, named.spec, tracks.batches)
         rows, lines = with_truth(tracks.table, named, [folder])
         about = {"tracker": name, "short": split_name(name)[1] or name, "endings": tracks.summaries}
-        tables = {TRACKS: tracks.table, EVENTS: happened, errors_file(TRACKED): errors_of_rows(rows)}
-        return outcome_of(about, rows, residual_ratios(tracks), tables), [*fits, *tracks.notices, *lines]
+        tables = {TRACKS: tracks.table, EVENTS: happened}
+        return outcome_of(about, rows, residual_ratios(tracks), tables, TRACKED), [
+            *fits,
+            *tracks.notices,
+            *lines,
+        ]
 
 
 Estimated = tuple[list[tuple[dict[str, Any], pl.DataFrame]], list[str], RecordingFolder]
@@ -279,20 +281,14 @@ class Scoring:
             except UnusableInput as problem:
                 result.refused.append(f"{folder.path}: {about['short']}: {problem}")
                 continue
-            tables = {errors_file(SCORED): errors_of_rows(rows)}
-            result.outcomes.append(outcome_of(about, rows, {}, tables))
+            result.outcomes.append(outcome_of(about, rows, {}, {}, SCORED))
         return result
 
 
-def errors_of_rows(rows: pl.DataFrame) -> pl.DataFrame:
-    """The sizes of errors and NEES of scored rows."""
-    return rows.filter(pl.col("why").is_null()).select("^(size_.*|nees|nees_3d)$")
-
-
 def outcome_of(
-    about: Mapping[str, Any], rows: pl.DataFrame, ratios: Ratios, tables: Mapping[str, pl.DataFrame]
+    about: Mapping[str, Any], rows: pl.DataFrame, ratios: Ratios, tables: Mapping[str, pl.DataFrame], last: str
 ) -> Outcome:
-    """The outcome of the scored rows of a recording; `about`: tracker, short name and endings; `ratios`: by name."""
+    """The outcome of the scored rows of a recording; `about`: tracker, short name, endings; `last`: as in `ERRORS`."""
     evaluation = Evaluation.of(rows, ratios)
     (recording,) = evaluation.recordings
     summary = {key: about[key] for key in ("tracker", "short", "endings")} | {
@@ -302,4 +298,5 @@ def outcome_of(
         "tracks": evaluation.tracks,
         "sums": sums(rows).row(0, named=True) | {name: recording[name] for name in RESIDUALS},
     }
-    return Outcome(summary, evaluation, tables)
+    sizes = rows.filter(pl.col("why").is_null()).select("^(size_.*|nees|nees_3d)$")
+    return Outcome(summary, evaluation, {**tables, ERRORS[last]: sizes})

@@ -59,9 +59,7 @@ class Run:
         self.endings.update(summary["endings"])
 
     def write(self, out: Path, errors: str) -> Evaluation:
-        """Writes the metrics, of recordings and tracks by name, into the folder `out` and returns them.
-
-        `errors`: the name of the `errors_file` of each recording."""
+        """Writes the metrics into the folder `out` and returns them; `errors`: the name of the tables of errors."""
         whole = added(pl.DataFrame(self.sums, infer_schema_length=None), self._rows(errors))
         overall = metrics(whole).row(0, named=True)
         evaluation = Evaluation(self.bearing, overall, by_name(self.recordings), by_name(self.tracks))

@@ -8,12 +8,17 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.monte_carlo.histograms import BINS, bins
 from trackwright.trackers.core.data.consistency import nees_of_leading, upper_entries
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.evaluation.metrics import terms_of
 from trackwright.trackers.evaluation.rows import ANGLES, AXES, bearing_sizes, position_sizes
 from trackwright.trackers.recordings.folder import RecordingFolder
+
+SMALLEST, BIN_WIDTH, BINS = 1e-6, 0.02, 1201
+"""Bins from 1e-6 to 2.6e4 (m, rad or NEES), of relative width BIN_WIDTH; other values fall in the end bins."""
+
+EDGES = SMALLEST * np.exp(BIN_WIDTH * np.arange(BINS))
+"""Upper edges of the bins."""
 
 
 class TrackedRuns(NamedTuple):
@@ -102,3 +107,10 @@ def _histograms(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     cells = np.bincount(np.broadcast_to(BINS * np.arange(len(size))[:, None], size.shape)[there] + bins(size[there]))
     filled = np.flatnonzero(cells)
     return filled, cells[filled]
+
+
+def bins(values: np.ndarray) -> np.ndarray:
+    """The bin number of each value."""
+    with np.errstate(divide="ignore"):
+        at = np.ceil(np.log(np.maximum(values, 0.0) / SMALLEST) / BIN_WIDTH)
+    return np.clip(at, 0, BINS - 1).astype(np.int64)

@@ -15,10 +15,10 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.monte_carlo.declaration import Condition, Study
-from trackwright.experiments.monte_carlo.histograms import BINS, EDGES, with_quantiles
+from trackwright.experiments.monte_carlo.errors import BIN_WIDTH, BINS, EDGES
 from trackwright.experiments.text.expectations import Value
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.evaluation.metrics import METRICS, metrics
+from trackwright.trackers.evaluation.metrics import METRICS, QUANTILES, metrics
 from trackwright.trackers.recordings.columns import float_column
 
 BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
@@ -196,3 +196,36 @@ def _interval(value: Any, replicates: np.ndarray) -> Value:
         return Value(float(value) if np.isfinite(value) else np.nan, np.nan, np.nan)
     low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Value(float(value), float(low), float(high))
+
+
+def with_quantiles(whole: pl.DataFrame, histograms: Mapping[str, np.ndarray]) -> pl.DataFrame:
+    """Sums (g,) with quantiles from histograms (g, BINS) by kind of error, whose largest is known."""
+    for name in QUANTILES:
+        share, _, kind = name.partition(" ")
+        if kind in histograms:
+            found = pl.Series(name, quantile(histograms[kind], float(share)), nan_to_null=True)
+            # A value interpolated in the bin of the largest error may lie beyond it.
+            whole = whole.with_columns(found).with_columns(pl.min_horizontal(name, f"largest {kind}").alias(name))
+    return whole
+
+
+def quantile(histogram: np.ndarray, share: float) -> np.ndarray:
+    """The quantile at `share` of histograms (..., BINS), as np.quantile defines it; NaN for empty ones.
+
+    Between the two values nearest in rank, each taken from its bin, whose values are spread evenly on a logarithmic
+    scale: off by less than a bin however few they are.
+    """
+    below = np.cumsum(histogram, axis=-1)
+    rank = share * np.maximum(below[..., -1] - 1.0, 0.0)
+    lower, upper = (_of_rank(histogram, below, whole) for whole in (np.floor(rank), np.ceil(rank)))
+    return lower + (rank - np.floor(rank)) * (upper - lower)
+
+
+def _of_rank(histogram: np.ndarray, below: np.ndarray, rank: np.ndarray) -> np.ndarray:
+    """The values of a rank from 0 of histograms (..., BINS) with cumulative sums `below`; NaN for empty ones."""
+    at = np.argmax(below > rank[..., None], axis=-1)[..., None]
+    inside = np.take_along_axis(np.asarray(histogram, float), at, -1)[..., 0]
+    after = np.take_along_axis(below, at, -1)[..., 0] - rank - 0.5
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.where(below[..., -1] > 0, after / inside, np.nan)
+    return EDGES[at[..., 0]] * np.exp(-BIN_WIDTH * part)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.bounds import bounds_of
 from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
-from trackwright.trackers.evaluation.metrics import metrics, sums
+from trackwright.trackers.evaluation.metrics import METRICS, metrics, sums
 from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, is_scored, scored_rows, wrapped
 from trackwright.trackers.recordings.columns import float_column, run_starts
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -178,11 +178,6 @@ class ScoredRecording:
         name = main_size(self.rows).replace("size", "rmse")
         return float_column(metrics(sums(self.rows, "track", of=[name])), name)
 
-    @property
-    def overall_rmse(self) -> float:
-        """The RMSE of all rows, in the unit of `rmse`; NaN without truth."""
-        return root_mean_square(self.miss)
-
     def worst_first(self) -> list[int]:
         """The numbers of the tracks from the largest RMSE to the smallest, those without truth last."""
         order = np.argsort(-np.nan_to_num(self.rmse, nan=-1.0), kind="stable")
@@ -203,22 +198,20 @@ class ScoredTracks:
         return is_bearing(self.rows)
 
     @cached_property
-    def recordings(self) -> list[ScoredRecording]:
-        """Each recording with its rows; those with figures with what their bounds need."""
-        recordings = [
-            ScoredRecording(
-                folder, self.rows.filter(pl.col("recording") == folder.name), noise_of(folder, self.batches)
-            )
-            for folder in self.folders
-        ]
-        for k in drawn_of(np.array([one.overall_rmse for one in recordings]), self.bearing):
-            recordings[k] = replace(recordings[k], batches=self.batches)
-        return recordings
-
-    @property
     def drawn(self) -> dict[int, str]:
         """The numbers of the recordings with figures, and why these: all, or the worst, the median and the best."""
-        return drawn_of(np.array([recording.overall_rmse for recording in self.recordings]), self.bearing)
+        name = main_size(self.rows).replace("size", "rmse")
+        rmse = dict(sums(self.rows, "recording", of=[name]).select("recording", METRICS[name].expr).iter_rows())
+        return drawn_of(np.array([rmse.get(folder.name) for folder in self.folders], float), self.bearing)
+
+    @cached_property
+    def recordings(self) -> list[ScoredRecording]:
+        """Each recording with its rows; those with figures with what their bounds need."""
+        parts = [self.rows.filter(pl.col("recording") == folder.name) for folder in self.folders]
+        return [
+            ScoredRecording(folder, part, noise_of(folder, self.batches), self.batches if k in self.drawn else ())
+            for k, (folder, part) in enumerate(zip(self.folders, parts, strict=True))
+        ]
 
     @property
     def drawn_words(self) -> str:

@@ -115,11 +115,8 @@ def _cells(old: Any, new: Any, columns: Any) -> Iterator[str]:
 
 def _means(metrics: Sequence[Any], columns: Any) -> dict[str, float | None]:
     """The mean over recordings, each with the same weight; None where one has no value."""
-    means: dict[str, float | None] = {}
-    for name, _, _ in columns:
-        values = [m[name] for m in metrics]
-        means[name] = None if None in values else sum(values) / len(values)
-    return means
+    values = {name: [m[name] for m in metrics] for name, _, _ in columns}
+    return {name: None if None in x else sum(x) / len(x) for name, x in values.items()}
 
 
 MOST_PLANS = 8

@@ -11,7 +11,7 @@ import pytest
 
 from tests.experiments.cli.small_archive import recording
 from trackwright.experiments.cli.archive_folders import MANY, archive_of, recordings_under
-from trackwright.experiments.cli.archive_part import errors_of_rows, outcome_of
+from trackwright.experiments.cli.archive_part import ERRORS, TRACKED, outcome_of
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
@@ -65,9 +65,9 @@ def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
         tables = [build("fix-kf", folder).run(folder).table for folder in folders]
     kept, errors = [], []
     for folder, table in zip(folders, tables, strict=True):
-        outcome = outcome_of({"tracker": "", "short": "", "endings": {}}, rows_of(table, folder), {}, {})
+        outcome = outcome_of(dict.fromkeys(("tracker", "short", "endings")), rows_of(table, folder), {}, {}, TRACKED)
         kept.append(json.loads(json_text(outcome.summary))["sums"])
-        errors.append(errors_of_rows(rows_of(table, folder)))
+        errors.append(outcome.tables[ERRORS[TRACKED]])
     found = metrics(added(pl.DataFrame(kept, infer_schema_length=None), pl.concat(errors).lazy())).row(0, named=True)
     expected = evaluate(pl.concat(tables), folders).overall
     assert list(found) == list(expected)

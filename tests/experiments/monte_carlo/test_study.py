@@ -9,8 +9,7 @@ import pytest
 from tests.experiments.monte_carlo.small_study import SMALL, TOML, study_command
 from trackwright.experiments.monte_carlo import chunk as one_chunk
 from trackwright.experiments.monte_carlo import errors
-from trackwright.experiments.monte_carlo.errors import TrackedRuns, _histograms, scored
-from trackwright.experiments.monte_carlo.histograms import BINS
+from trackwright.experiments.monte_carlo.errors import BINS, TrackedRuns, _histograms, scored
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
 from trackwright.experiments.monte_carlo.sources import load_study
