@@ -16,6 +16,7 @@ import polars as pl
 
 from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.archive_part import (
+    ERRORS,
     SCORED,
     TRACKED,
     Item,
@@ -44,9 +45,9 @@ from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names
+from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names, truths_of
 from trackwright.trackers.evaluation.events import EVENTS
+from trackwright.trackers.evaluation.rows import is_scored, scored_rows
 from trackwright.trackers.recordings.atomic import config_hash, held
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
@@ -70,7 +71,7 @@ def track_archive(
         write_results(options.out, rows)
         for run in runs:
             out = output_folder(options.out if len(runs) == 1 else options.out / run.short)
-            evaluation, count = run.write(out), run.write_table(out, TRACKS)
+            evaluation, count = run.write(out, ERRORS[TRACKED]), run.write_table(out, TRACKS)
             run.write_table(out, EVENTS)
             run.write_sources(out)
             tracks = counted(sum(run.endings.values()), "track")
@@ -180,16 +181,16 @@ def _show(
         folders.append(folder)
         tables.append(read_tracks(run.folders[name]))
         events.append(pl.read_parquet(run.folders[name] / EVENTS))
-    truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
-    association = associate_truth(pl.concat(tables, how="diagonal"), truths)
+    stations = {folder.name: folder.rig.stations for folder in folders}
+    rows = scored_rows(pl.concat(tables, how="diagonal"), truths_of(folders), stations)
     part = Evaluation(
         evaluation.bearing,
         evaluation.overall,
         chosen,
         [metrics for metrics in evaluation.tracks if metrics["recording"] in names],
     )
-    tracks = ScoredTracks(association, folders, batches)
-    known = part if association.scored.any() else None
+    tracks = ScoredTracks(rows, folders, batches)
+    known = part if is_scored(rows).any() else None
     about = f"{run.tracker}: {spec_of(run.tracker).about}"
     page = run_data(tracks, pl.concat(events, how="diagonal"), known, about, run.short)
     page |= {"recordingCount": len(run.paths), "statements": evaluation.statements if known else []}
@@ -239,7 +240,7 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
         write_results(out, rows)
         failed = False
         for run in runs:
-            evaluation = run.write(out if len(runs) == 1 else output_folder(out / run.short))
+            evaluation = run.write(out if len(runs) == 1 else output_folder(out / run.short), ERRORS[SCORED])
             put(_shown(run, evaluation))
             failed |= bool(code_of(evaluation, fail_if, f"{run.short}: "))
         _compare(runs)

@@ -29,10 +29,11 @@ from trackwright.experiments.text.evaluation_text import to_json
 from trackwright.trackers.catalogue import fitting
 from trackwright.trackers.core.errors import UnusableInput, one_line
 from trackwright.trackers.core.user_file import split_name
-from trackwright.trackers.evaluation.association import associate_truth, refuse_without_overlap
-from trackwright.trackers.evaluation.evaluate import Evaluation, TrackScores
+from trackwright.trackers.evaluation.evaluate import Evaluation, Ratios
 from trackwright.trackers.evaluation.events import EVENTS, events_of
+from trackwright.trackers.evaluation.metrics import RESIDUALS, sums
 from trackwright.trackers.evaluation.residuals import residual_ratios
+from trackwright.trackers.evaluation.rows import refuse_without_overlap, scored_rows
 from trackwright.trackers.recordings.atomic import json_text
 from trackwright.trackers.recordings.calibration import Calibration
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, read_truth
@@ -44,6 +45,9 @@ from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TR
 
 TRACKED, SCORED = "tracked.json", "scored.json"
 """The files that `track` and `evaluate` write last into the folder of a finished recording."""
+
+ERRORS = {TRACKED: "tracked.parquet", SCORED: "scored.parquet"}
+"""Beside them the table of errors from which the percentiles of all recordings are taken."""
 
 
 @dataclass(frozen=True)
@@ -227,11 +231,14 @@ class Tracking:
         ((named, _),), fits = self.options.applied(self.named(name, text, folder), [folder], lambda done: None)
         tracks = named.run(folder, seed=self.options.seed)
         happened = events_of(tracks.table, named.spec, tracks.batches)
-        association, lines = with_truth(tracks.table, named, [folder])
-        scored = TrackScores.of(association, {folder.name: folder.rig.stations})
+        rows, lines = with_truth(tracks.table, named, [folder])
         about = {"tracker": name, "short": split_name(name)[1] or name, "endings": tracks.summaries}
         tables = {TRACKS: tracks.table, EVENTS: happened}
-        return outcome_of(about, scored, residual_ratios(tracks), tables), [*fits, *tracks.notices, *lines]
+        return outcome_of(about, rows, residual_ratios(tracks), tables, TRACKED), [
+            *fits,
+            *tracks.notices,
+            *lines,
+        ]
 
 
 Estimated = tuple[list[tuple[dict[str, Any], pl.DataFrame]], list[str], RecordingFolder]
@@ -268,29 +275,27 @@ class Scoring:
         truths = {folder.name: folder.tables["truth"]}
         for about, table in outcomes:
             try:
-                association = associate_truth(self.part.of_estimates(table), truths)
-                refuse_without_overlap(association, truths)
+                rows = scored_rows(self.part.of_estimates(table), truths, {folder.name: folder.rig.stations})
+                refuse_without_overlap(rows, truths)
             except UnusableInput as problem:
                 result.refused.append(f"{folder.path}: {about['short']}: {problem}")
                 continue
-            scored = TrackScores.of(association, {folder.name: folder.rig.stations})
-            result.outcomes.append(outcome_of(about, scored, {}, {}))
+            result.outcomes.append(outcome_of(about, rows, {}, {}, SCORED))
         return result
 
 
 def outcome_of(
-    about: Mapping[str, Any],
-    scored: TrackScores,
-    ratios: Mapping[str, tuple[float, float]],
-    tables: Mapping[str, pl.DataFrame],
+    about: Mapping[str, Any], rows: pl.DataFrame, ratios: Ratios, tables: Mapping[str, pl.DataFrame], last: str
 ) -> Outcome:
-    """The outcome of the scored tracks of a recording; `about`: tracker, short name and endings; `ratios`: by name."""
-    evaluation, ((name,), scores) = scored.evaluation(ratios), scored.recordings(ratios)
+    """The outcome of the scored rows of a recording; `about`: tracker, short name, endings; `last`: as in `ERRORS`."""
+    evaluation = Evaluation.of(rows, ratios)
+    (recording,) = evaluation.recordings
     summary = {key: about[key] for key in ("tracker", "short", "endings")} | {
-        "recording": name,
-        "bearing": scored.bearing,
-        "metrics": evaluation.recordings[0],
+        "recording": recording["recording"],
+        "bearing": evaluation.bearing,
+        "metrics": recording,
         "tracks": evaluation.tracks,
-        "scores": scores.condensed().plain(),
+        "sums": sums(rows).row(0, named=True) | {name: recording[name] for name in RESIDUALS},
     }
-    return Outcome(summary, evaluation, tables)
+    sizes = rows.filter(pl.col("why").is_null()).select("^(size_.*|nees|nees_3d)$")
+    return Outcome(summary, evaluation, {**tables, ERRORS[last]: sizes})

@@ -15,16 +15,15 @@ import polars as pl
 
 from trackwright.experiments.cli.archive_folders import RESULTS
 from trackwright.experiments.cli.archive_part import RecordingStore
-from trackwright.experiments.pages.reports.comparison import BEARING_NAMES, Contrast, adjusted, difference_table
+from trackwright.experiments.pages.reports.comparison import Contrast, adjusted, difference_table
 from trackwright.experiments.text.evaluation_text import to_json
 from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import Unit, fixed, length_unit
 from trackwright.trackers.core.errors import UnusableInput, has_control, one_line
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.comparison import LEAST_PIECES, METRICS, Difference, jackknifed
+from trackwright.trackers.evaluation.comparison import COMPARED, LEAST_PIECES, Difference, jackknifed
 from trackwright.trackers.evaluation.evaluate import Evaluation
-from trackwright.trackers.evaluation.metrics import MetricRows
-from trackwright.trackers.evaluation.scores import Scores
+from trackwright.trackers.evaluation.metrics import added, metrics
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES
 
@@ -32,7 +31,7 @@ NAMES, TEXTS = ("recording", "path", "tracker", "tracks", "endings"), ("notices"
 """The columns of the table of results before and after the metrics."""
 
 Refusals = dict[Path, list[str]]  # a line for each refusal, by the path of the recording
-SHOWN = tuple(name for name in METRICS if "3d" not in name)  # the metrics that are compared, errors first
+SHOWN = tuple(name for name in COMPARED if "3d" not in name)  # the metrics that are compared, errors first
 
 
 @dataclass
@@ -43,7 +42,7 @@ class Run:
     tracker: str
     short: str
     bearing: bool
-    scores: Scores | None = None
+    sums: list[dict[str, Any]] = field(default_factory=list)
     recordings: list[dict[str, Any]] = field(default_factory=list)
     tracks: list[dict[str, Any]] = field(default_factory=list)
     paths: dict[str, Path] = field(default_factory=dict)
@@ -52,17 +51,17 @@ class Run:
 
     def add(self, path: Path, folder: Path, summary: Mapping[str, Any]) -> None:
         """Adds a recording at `path`, with its outcome and the folder of its tables."""
-        scores, name = Scores.from_plain(summary["scores"]), summary["recording"]
-        self.scores = scores if self.scores is None else self.scores + scores
+        name = summary["recording"]
+        self.sums.append(summary["sums"])
         self.paths[name], self.folders[name] = path, folder
         self.recordings.append(summary["metrics"])
         self.tracks += summary["tracks"]
         self.endings.update(summary["endings"])
 
-    def write(self, out: Path) -> Evaluation:
-        """Writes the metrics, of recordings and tracks by name, into the folder `out` and returns them."""
-        assert self.scores is not None
-        overall = MetricRows(self.scores)[0]
+    def write(self, out: Path, errors: str) -> Evaluation:
+        """Writes the metrics into the folder `out` and returns them; `errors`: the name of the tables of errors."""
+        whole = added(pl.DataFrame(self.sums, infer_schema_length=None), self._rows(errors))
+        overall = metrics(whole).row(0, named=True)
         evaluation = Evaluation(self.bearing, overall, by_name(self.recordings), by_name(self.tracks))
         atomic_write(out / EVALUATION, lambda path: path.write_text(to_json(evaluation), encoding="utf-8"))
         return evaluation
@@ -74,13 +73,16 @@ class Run:
 
     def write_table(self, out: Path, name: str) -> int:
         """Writes the tables `name` of all recordings as one, without holding them in memory; returns its rows."""
+        path = atomic_write(out / name, partial(self._rows(name).sink_parquet, compression_level=1))
+        return int(pl.scan_parquet(path).select(pl.len()).collect().item())
+
+    def _rows(self, name: str) -> pl.LazyFrame:
+        """The tables `name` of all recordings as one, which is not in memory."""
         files = [self.folders[recording] / name for recording in sorted(self.folders)]
         schema: dict[str, Any] = {}
         for file in files:
             schema |= pl.read_parquet_schema(file)
-        rows = pl.scan_parquet(files, schema=pl.Schema(schema), missing_columns="insert")
-        path = atomic_write(out / name, partial(rows.sink_parquet, compression_level=1))
-        return int(pl.scan_parquet(path).select(pl.len()).collect().item())
+        return pl.scan_parquet(files, schema=pl.Schema(schema), missing_columns="insert")
 
 
 def by_name(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -145,8 +147,7 @@ def compared(runs: Sequence[Run]) -> list[Section]:
     if len(runs) < 2 or len({run.bearing for run in runs}) > 1:
         return []
     bearing, names = runs[0].bearing, [run.short for run in runs]
-    metrics = [BEARING_NAMES.get(name, name) if bearing else name for name in SHOWN]
-    metrics = [name for name in metrics if all(name in recording for run in runs for recording in run.recordings[:1])]
+    metrics = [name for name in SHOWN if all(name in recording for run in runs for recording in run.recordings[:1])]
     values = {name: common for name in metrics if (common := _common(runs, name)).size}
     rmse = values.get(metrics[0])
     if rmse is None:

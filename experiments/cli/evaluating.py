@@ -17,7 +17,7 @@ from trackwright.experiments.text.tables import sections_text, terminal_width
 from trackwright.experiments.text.terminal import notice
 from trackwright.experiments.text.wording import figures_drawn
 from trackwright.trackers.core.errors import UnusableInput, near
-from trackwright.trackers.evaluation.evaluate import Evaluation, associate, evaluate, metric_names
+from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, metric_names, rows_of
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
 from trackwright.trackers.recordings.checks.units import check_units
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -197,7 +197,7 @@ def _write(
     if all(path.is_dir() for path in truth):
         names = "".join(f"{path.resolve()}\n" for path in truth)
         atomic_write(out / SOURCES, lambda path: path.write_text(names, encoding="utf-8"))
-    scored = ScoredTracks(associate(tracks, folders), folders, ())
+    scored = ScoredTracks(rows_of(tracks, folders), folders, ())
     none = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
     run = run_data(scored, none, evaluation, source, figures=True)
     write_track_page(out / PAGE, [run], shlex.join(["trackwright", *sys.argv[1:]]), "evaluate")

@@ -32,10 +32,10 @@ from trackwright.trackers.core.model.rig import SAY_SIDE
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.association import Association, associate_truth, refuse_without_overlap
-from trackwright.trackers.evaluation.evaluate import evaluate_association
+from trackwright.trackers.evaluation.evaluate import Evaluation, truths_of
 from trackwright.trackers.evaluation.events import EVENTS, events_of
 from trackwright.trackers.evaluation.residuals import residual_ratios
+from trackwright.trackers.evaluation.rows import is_scored, refuse_without_overlap, scored_rows
 from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.checks.residuals import delay_against_truth
@@ -192,12 +192,11 @@ def _track(
     atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
     whose = "" if out == options.out else f"{run.short}: "
     print(f"{whose}{counted(sum(summaries.values()), 'track')}: {endings(summaries)}")
-    association, lines = with_truth(table, named, folders)
+    rows, lines = with_truth(table, named, folders)
     for line in lines:
         notice(f"notice: {line}")
-    stations = {folder.name: folder.rig.stations for folder in folders}
-    evaluation = evaluate_association(association, stations, ratios=residual_ratios(tracks))
-    if not association.scored.any():
+    evaluation, known = Evaluation.of(rows, residual_ratios(tracks)), bool(is_scored(rows).any())
+    if not known:
         for sentence in evaluation.statements:
             print(f"Without truth: {uncapitalised(sentence)}")
     elif of == 1:
@@ -205,13 +204,12 @@ def _track(
     notice_levels(evaluation.overall, options.fit)
     metrics = to_json(evaluation)
     atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
-    scored = ScoredTracks(association, folders, batches)
+    scored = ScoredTracks(rows, folders, batches)
     page, drawn = None, list[str]()
     if options.figures != "none":
         begin("report")
-        known, about = evaluation if association.scored.any() else None, f"{name}: {named.spec.about}"
-        files = of == 1 and file_format(options.figures) is not None
-        page = run_data(scored, happened, known, about, run.short, of, files)
+        files, shown = of == 1 and file_format(options.figures) is not None, evaluation if known else None
+        page = run_data(scored, happened, shown, f"{name}: {named.spec.about}", run.short, of, files)
     if of == 1:
         drawn = write_shown(scored, page, options, out, begin)
     write_manifest(
@@ -270,28 +268,28 @@ def _write_page(out: Path, pages: Sequence[Mapping[str, Any]]) -> None:
 
 def with_truth(
     table: pl.DataFrame, named: NamedTracker, folders: Sequence[RecordingFolder]
-) -> tuple[Association, list[str]]:
-    """The estimates with their truth, and notices: why it is not used, or which readings come late against it."""
-    truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
-    association = associate_truth(table, truths)
-    if association.scored.any():
-        return association, [*mirrored_heights(association, folders), *late_readings(named, folders)]
+) -> tuple[pl.DataFrame, list[str]]:
+    """The scored rows, and notices: why the truth is not used, or which readings come late against it."""
+    truths = truths_of(folders)
+    rows = scored_rows(table, truths, {folder.name: folder.rig.stations for folder in folders})
+    if is_scored(rows).any():
+        return rows, [*mirrored_heights(rows, folders), *late_readings(named, folders)]
     try:
         if truths:
-            refuse_without_overlap(association, truths)
+            refuse_without_overlap(rows, truths)
     except UnusableInput as problem:
-        return association, [f"not evaluated: {problem}"]
-    return association, []
+        return rows, [f"not evaluated: {problem}"]
+    return rows, []
 
 
-def mirrored_heights(association: Association, folders: Sequence[RecordingFolder]) -> list[str]:
+def mirrored_heights(rows: pl.DataFrame, folders: Sequence[RecordingFolder]) -> list[str]:
     """A line with the recordings in which heights are on the other side of the anchors' plane than the true ones."""
     names = []
     for folder in folders:
-        part, plane = association.of_recording(folder.name), folder.rig.plane
-        if plane is not None and "std_z_m" in part.rows.columns:
-            true, estimated = part.truth[:, 2] - plane, float_column(part.rows, "z_m") - plane
-            apart = part.scored & (abs(true) > APART_M) & (float_column(part.rows, "std_z_m") > 0)
+        part, plane = rows.filter(pl.col("recording") == folder.name), folder.rig.plane
+        if plane is not None and "std_z_m" in part.columns:
+            true, estimated = (float_column(part, name) - plane for name in ("true_z_m", "z_m"))
+            apart = is_scored(part) & (abs(true) > APART_M) & (float_column(part, "std_z_m") > 0)
             if np.mean((true * estimated < 0) & apart) > MIRRORED_SHARE:
                 names.append(folder.name)
     return [f"{listed(names)}: height mirrored at the anchors' plane; {SAY_SIDE}"] if names else []
@@ -301,9 +299,9 @@ def mirror_lines(named: NamedTracker, folders: Sequence[RecordingFolder]) -> lis
     """The lines on heights that are, or may be, mirrored in recordings that a tracker, run as it is, tells about."""
     if all(batch.planar for batch in named.batches(folders)) or all(folder.rig.plane is None for folder in folders):
         return []
-    tracks, truths = named.run(folders), {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
+    tracks = named.run(folders)
     told = [line for line in tracks.notices if SAY_SIDE in line]
-    return [*told, *mirrored_heights(associate_truth(tracks.table, truths), folders)]
+    return [*told, *mirrored_heights(scored_rows(tracks.table, truths_of(folders)), folders)]
 
 
 def late_readings(named: NamedTracker, folders: Sequence[RecordingFolder]) -> list[str]:

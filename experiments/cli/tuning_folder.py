@@ -36,7 +36,6 @@ from trackwright.experiments.pages.reports.tuning_data import collect, recording
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import spec_of
-from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
@@ -73,7 +72,7 @@ def tune_folders(
     return int(options.check and compared.verdict.word == "worse"), content
 
 
-def judged(fitted: Fitted, before: Association) -> Compared:
+def judged(fitted: Fitted, before: pl.DataFrame) -> Compared:
     """The recordings shown, `before` the fit and with values fitted without them, and the verdict."""
     result, data, shown = fitted.result, fitted.data, fitted.shown
     count, dimensions = len({trajectory.folder.name for trajectory in data.training}), data.dimensions
@@ -103,12 +102,12 @@ def judged(fitted: Fitted, before: Association) -> Compared:
     return compare((before, after), shown, dimensions, about, why_not)
 
 
-def _plans(fitted: Fitted, before: Association) -> TrackChanges:
+def _plans(fitted: Fitted, before: pl.DataFrame) -> TrackChanges:
     """The tracks with the values before and after the fit, of the recordings shown and of some others."""
     others = fitted.others[: max(MOST_PLANS - len(fitted.shown), 0)]
     held_out = {folder.name for folder in fitted.shown} if fitted.data.held_out else set()
     if others:
-        before = Association.joined([before, tracked(fitted.named, others)])
+        before = pl.concat([before, tracked(fitted.named, others)], how="diagonal")
     folders = [*fitted.shown, *others]
     return track_changes(before, tracked(_with(fitted, fitted.result.values), folders), folders, held_out)
 

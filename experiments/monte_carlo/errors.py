@@ -1,4 +1,4 @@
-"""Errors, NEES and NIS of tracked trajectories as sums and histograms of each, as in `Scores`."""
+"""Errors, NEES and NIS of tracked trajectories as sums and histograms of each; metrics are those of `evaluate`."""
 
 from __future__ import annotations
 
@@ -6,13 +6,19 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import polars as pl
 
 from trackwright.trackers.core.data.consistency import nees_of_leading, upper_entries
 from trackwright.trackers.core.data.estimates import Status
-from trackwright.trackers.evaluation.metrics import bearing_sizes, position_sizes
-from trackwright.trackers.evaluation.scores import BINS, bins, error_sums, nees_sums
-from trackwright.trackers.evaluation.scoring import COMPONENTS, in_plane
+from trackwright.trackers.evaluation.metrics import terms_of
+from trackwright.trackers.evaluation.rows import ANGLES, AXES, bearing_sizes, position_sizes
 from trackwright.trackers.recordings.folder import RecordingFolder
+
+SMALLEST, BIN_WIDTH, BINS = 1e-6, 0.02, 1201
+"""Bins from 1e-6 to 2.6e4 (m, rad or NEES), of relative width BIN_WIDTH; other values fall in the end bins."""
+
+EDGES = SMALLEST * np.exp(BIN_WIDTH * np.arange(BINS))
+"""Upper edges of the bins."""
 
 
 class TrackedRuns(NamedTuple):
@@ -43,42 +49,6 @@ class TrackedRuns(NamedTuple):
         return np.where(self.known[..., None], self.estimates - self.truth, np.nan)
 
 
-class Masked:
-    """The rows of n trajectories in the mask `valid` (n, T), as groups of rows of `Scores`."""
-
-    def __init__(self, valid: np.ndarray) -> None:
-        self.valid, self.all = valid, bool(valid.all())
-
-    @property
-    def count(self) -> np.ndarray:
-        """The number of rows (n,)."""
-        count: np.ndarray = self.valid.sum(axis=1)
-        return count
-
-    def sum(self, values: np.ndarray) -> np.ndarray:
-        """The sums (n,) of values (n, T)."""
-        sums: np.ndarray = self._masked(values, 0).sum(axis=1)
-        return sums
-
-    def max(self, values: np.ndarray) -> np.ndarray:
-        """The largest (n,) of values (n, T) ≥ 0, NaN of none."""
-        top = self._masked(values, -1.0).max(axis=1)
-        return np.where(top < 0, np.nan, top)
-
-    def histograms(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A sparse (n, BINS) histogram of values (n, T): flat indices and their counts."""
-        first = BINS * np.arange(len(values))[:, None]
-        if self.all:
-            cells = np.bincount((first + bins(values)).ravel())
-        else:
-            cells = np.bincount(np.broadcast_to(first, values.shape)[self.valid] + bins(values[self.valid]))
-        filled = np.flatnonzero(cells)
-        return filled, cells[filled]
-
-    def _masked(self, values: np.ndarray, other: float) -> np.ndarray:
-        return values if self.all else np.where(self.valid, values, other)
-
-
 def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """The arrays of `scored` of all trajectories, from some after others."""
     first = 0
@@ -91,65 +61,56 @@ def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
-    """Arrays of n trajectories by name: each `sum` and `largest` (n,) of `Scores`, and of each kind a histogram. The
-    histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`."""
-    n = len(tracked.estimates)
-    bearing = tracked.estimates.ndim == 4
-    # The rows of all stations count as rows of their trajectory.
-    counts = Masked(tracked.known.reshape(n, -1))
+    """Arrays of n trajectories by name: each `sum` and `largest` (n,) as of `metrics.sums`, and of each kind a
+    histogram. The histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`. The rows of all stations
+    count as rows of their trajectory."""
+    n, bearing = len(tracked.estimates), tracked.estimates.ndim == 4
+    known, status = tracked.known.reshape(n, -1), tracked.status.reshape(n, -1)
+    there = status != Status.PADDING
     if bearing:
         error, sizes = bearing_sizes(tracked.estimates, tracked.truth)
-        plane = in_plane(tracked.estimates[..., 0])
-        sizes |= {kind: np.where(plane, np.nan, sizes[kind]) for kind in COMPONENTS[2]}
-        sizes = {kind: size.reshape(counts.valid.shape) for kind, size in sizes.items()}
     else:
         error = tracked.estimates - tracked.truth
         sizes = position_sizes(error)
-    error = error.reshape(n, counts.valid.shape[1], -1)
-    sums, largest = {"n": counts.count}, dict[str, np.ndarray]()
-    arrays: dict[str, np.ndarray] = {}
-    main, latest = next(iter(sizes.values())), None
-    for kind, size in sizes.items():
-        rows = counts if size is main else Masked(counts.valid & np.isfinite(size))
-        if size is not latest:
-            latest, histogram = size, rows.histograms(size)
-        more, top = error_sums(kind, size, rows)
-        sums, largest = sums | more, largest | top
-        arrays[f"cells {kind}"], arrays[f"counts {kind}"] = histogram
-    for k, component in enumerate(COMPONENTS[error.shape[-1]]):
-        rows = counts.valid & np.isfinite(sizes[component] if bearing else error[..., k])
-        sums[f"bias {component}"] = Masked(rows).sum(error[..., k])
+    errors = np.where(known.reshape(-1, 1), error.reshape(known.size, -1), np.nan)
+    columns = {f"error_{name}": x for name, x in zip(ANGLES if bearing else AXES, errors.T, strict=True)}
+    columns |= {f"size_{kind}": np.where(known, x.reshape(known.shape), np.nan).ravel() for kind, x in sizes.items()}
     d = tracked.covariance.shape[-1]
-    sums |= _nees(error[..., :d], tracked.covariance.reshape(n, counts.valid.shape[1], d, d), counts)
-    status = tracked.status.reshape(n, -1)
-    there = status != Status.PADDING
-    nis, dof = tracked.nis.reshape(n, -1).astype(float), tracked.dof.reshape(n, -1).astype(float)
-    has_nis = Masked(np.isfinite(nis) & (dof > 0) & there)
-    bad = np.isin(status, (Status.LOST, Status.RESTARTED, Status.NON_FINITE))
+    entries = upper_entries(tracked.covariance.reshape(known.size, d, d))
+    columns |= dict(zip(("nees", "nees_3d"), nees_of_leading(errors[:, :d], entries)[1:], strict=False))
+    columns["nis"] = np.where(there, tracked.nis.reshape(there.shape), np.nan).ravel()
+    columns |= {"nis_dof": tracked.dof.ravel(), "lost": (status == Status.LOST).ravel()}
+    columns["track"] = np.where(there, 0.0, np.nan).ravel()
+    rows = pl.DataFrame({name: pl.Series(x, nan_to_null=True) for name, x in columns.items()})
+    sums = {
+        term.name: term.cast(pl.Float64).fill_null(0.0).to_numpy().reshape(known.shape).sum(axis=1)
+        for term in terms_of(rows)
+    }
     sums |= {
-        "nis": has_nis.sum(nis),
-        "dof": has_nis.sum(dof),
-        "lost rows": (status == Status.LOST).sum(axis=1),
-        "n_rows": there.sum(axis=1),
-        "diverged": np.any(bad, axis=1),
-        "failed": np.isin(status, Status.NON_FINITE).any(axis=1) | (counts.count == 0),
+        "n": known.sum(axis=1),
+        "diverged": np.isin(status, (Status.LOST, Status.RESTARTED, Status.NON_FINITE)).any(axis=1),
+        "failed": (status == Status.NON_FINITE).any(axis=1) | ~known.any(axis=1),
         "trajectories": np.ones(n),
     }
-    arrays |= {f"sum {name}": x.astype(float) for name, x in sums.items()}
-    return arrays | {f"largest {name}": x for name, x in largest.items()}
+    arrays = {f"sum {name}": x.astype(float) for name, x in sums.items()}
+    for kind in sizes:
+        size = columns[f"size_{kind}"].reshape(known.shape)
+        top = np.where(np.isnan(size), -1.0, size).max(axis=1)
+        arrays[f"largest {kind}"] = np.where(top < 0, np.nan, top)
+        arrays[f"cells {kind}"], arrays[f"counts {kind}"] = _histograms(size)
+    return arrays
 
 
-def _nees(error: np.ndarray, covariance: np.ndarray, counts: Masked) -> dict[str, np.ndarray]:
-    """The sums of the NEES of two axes, and of three."""
-    sums: dict[str, np.ndarray] = {}
-    rows = error.reshape(-1, error.shape[-1]), covariance.reshape(-1, *covariance.shape[2:])
-    errors, covs = rows if counts.all else (x[counts.valid.ravel()] for x in rows)
-    of_leading = nees_of_leading(errors, upper_entries(covs))
-    for axes, name in enumerate(("nees", "nees_3d")[: len(of_leading) - 1], start=2):
-        if counts.all:
-            values = of_leading[axes - 1].reshape(counts.valid.shape)
-        else:
-            values = np.full(counts.valid.shape, np.nan)
-            values[counts.valid] = of_leading[axes - 1]
-        sums |= nees_sums(name, values, axes, Masked(np.isfinite(values)))
-    return sums
+def _histograms(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A sparse (n, BINS) histogram of sizes (n, T), NaN left out: flat indices and their counts."""
+    there = ~np.isnan(size)
+    cells = np.bincount(np.broadcast_to(BINS * np.arange(len(size))[:, None], size.shape)[there] + bins(size[there]))
+    filled = np.flatnonzero(cells)
+    return filled, cells[filled]
+
+
+def bins(values: np.ndarray) -> np.ndarray:
+    """The bin number of each value."""
+    with np.errstate(divide="ignore"):
+        at = np.ceil(np.log(np.maximum(values, 0.0) / SMALLEST) / BIN_WIDTH)
+    return np.clip(at, 0, BINS - 1).astype(np.int64)

@@ -12,12 +12,14 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 from trackwright.experiments.monte_carlo.declaration import Condition, Study
+from trackwright.experiments.monte_carlo.errors import BIN_WIDTH, BINS, EDGES
 from trackwright.experiments.text.expectations import Value
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.evaluation.metrics import METRICS, metrics
-from trackwright.trackers.evaluation.scores import BINS, EDGES, Scores
+from trackwright.trackers.evaluation.metrics import METRICS, QUANTILES, metrics
+from trackwright.trackers.recordings.columns import float_column
 
 BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
 
@@ -35,10 +37,15 @@ class Totals:
         self.measures: dict[str, np.ndarray] = {}
         self.bounds, self.us_per_row, self.seconds = np.full(2, np.nan), np.nan, 0.0
 
-    @property
-    def scores(self) -> Scores:
-        """Sums and histograms of the blocks."""
-        return Scores(self.sums, self.largest, self.histograms)
+    def scores(self, weights: np.ndarray) -> pl.DataFrame:
+        """The sums (r,) as of `metrics.sums` where block k counts `weights[:, k]` times, (r, blocks)."""
+        sums = dict(zip(self.sums, (weights @ np.stack([*self.sums.values()], axis=-1)).T, strict=True))
+        for kind, top in self.largest.items():
+            most = np.where(weights > 0, np.nan_to_num(top, nan=-np.inf), -np.inf).max(axis=1)
+            sums[f"largest {kind}"] = np.where(np.isinf(most), np.nan, most)
+        # Trajectories have no time lost, but rows.
+        whole = pl.DataFrame(sums, nan_to_null=True).with_columns(pl.lit(0.0).alias(f"{x} s") for x in ("lost", "span"))
+        return with_quantiles(whole, {kind: weights @ x for kind, x in self.histograms.items()})
 
     def add(self, start: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Add a chunk whose first trajectory is `start`; trajectories beyond the last run are left out."""
@@ -139,7 +146,7 @@ class Results:
 
     def cdf(self, world: str, tracker: str, kind: str = "m", **point: Any) -> tuple[np.ndarray, np.ndarray]:
         """Cumulative distribution of errors: error, m or rad, and the share of rows with at most that error."""
-        histogram = self.totals[self.study.condition(world, **point).index, tracker].scores.histograms[kind].sum(axis=0)
+        histogram = self.totals[self.study.condition(world, **point).index, tracker].histograms[kind].sum(axis=0)
         return EDGES, np.cumsum(histogram) / max(histogram.sum(), 1)
 
     def _replicated(self, metric: str, condition: Condition, tracker: str) -> tuple[Any, np.ndarray]:
@@ -156,14 +163,14 @@ class Results:
         key = (condition.index, tracker)
         if key not in self._metrics:
             # All metrics at once: histograms of all resamplings take megabytes, metrics kilobytes.
-            self._metrics[key] = _metrics_of(totals.scores, weights)
+            self._metrics[key] = _metrics_of(totals, weights)
         return self._metrics[key].get(metric, (np.nan, np.full(REPLICATES, np.nan)))
 
 
-def _metrics_of(scores: Scores, weights: np.ndarray) -> dict[str, tuple[Any, np.ndarray]]:
+def _metrics_of(totals: Totals, weights: np.ndarray) -> dict[str, tuple[Any, np.ndarray]]:
     """All metrics of all trajectories, and of the resamplings (R,)."""
-    whole, resamples = metrics(scores.total()), metrics(scores.weighted(weights))
-    return {name: (value[0], resamples[name]) for name, value in whole.items()}
+    found = metrics(totals.scores(np.vstack([np.ones(weights.shape[1]), weights]))).drop("lost_s")
+    return {name: (x[0], x[1:]) for name in found.columns for x in [float_column(found, name)]}
 
 
 @functools.lru_cache(maxsize=8)
@@ -189,3 +196,36 @@ def _interval(value: Any, replicates: np.ndarray) -> Value:
         return Value(float(value) if np.isfinite(value) else np.nan, np.nan, np.nan)
     low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Value(float(value), float(low), float(high))
+
+
+def with_quantiles(whole: pl.DataFrame, histograms: Mapping[str, np.ndarray]) -> pl.DataFrame:
+    """Sums (g,) with quantiles from histograms (g, BINS) by kind of error, whose largest is known."""
+    for name in QUANTILES:
+        share, _, kind = name.partition(" ")
+        if kind in histograms:
+            found = pl.Series(name, quantile(histograms[kind], float(share)), nan_to_null=True)
+            # A value interpolated in the bin of the largest error may lie beyond it.
+            whole = whole.with_columns(found).with_columns(pl.min_horizontal(name, f"largest {kind}").alias(name))
+    return whole
+
+
+def quantile(histogram: np.ndarray, share: float) -> np.ndarray:
+    """The quantile at `share` of histograms (..., BINS), as np.quantile defines it; NaN for empty ones.
+
+    Between the two values nearest in rank, each taken from its bin, whose values are spread evenly on a logarithmic
+    scale: off by less than a bin however few they are.
+    """
+    below = np.cumsum(histogram, axis=-1)
+    rank = share * np.maximum(below[..., -1] - 1.0, 0.0)
+    lower, upper = (_of_rank(histogram, below, whole) for whole in (np.floor(rank), np.ceil(rank)))
+    return lower + (rank - np.floor(rank)) * (upper - lower)
+
+
+def _of_rank(histogram: np.ndarray, below: np.ndarray, rank: np.ndarray) -> np.ndarray:
+    """The values of a rank from 0 of histograms (..., BINS) with cumulative sums `below`; NaN for empty ones."""
+    at = np.argmax(below > rank[..., None], axis=-1)[..., None]
+    inside = np.take_along_axis(np.asarray(histogram, float), at, -1)[..., 0]
+    after = np.take_along_axis(below, at, -1)[..., 0] - rank - 0.5
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.where(below[..., -1] > 0, after / inside, np.nan)
+    return EDGES[at[..., 0]] * np.exp(-BIN_WIDTH * part)

@@ -11,7 +11,7 @@ import numpy as np
 from trackwright.experiments.monte_carlo.errors import TrackedRuns, joined, scored
 from trackwright.trackers.core.data.estimates import Estimates, Status, is_usable
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.scoring import last_of_intervals
+from trackwright.trackers.evaluation.rows import last_of_intervals
 from trackwright.trackers.recordings.tracks import angles
 from trackwright.trackers.recordings.trajectories import Trajectories
 from trackwright.trackers.recordings.truth import TruthStatus

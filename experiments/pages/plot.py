@@ -14,7 +14,8 @@ from trackwright.experiments.pages.charts.recording import *  # noqa: F403
 from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.track import run_data, track_page
 from trackwright.experiments.pages.scored_tracks import AnyEstimates, AnyRecording, scored_tracks
-from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.evaluation.evaluate import Evaluation
+from trackwright.trackers.evaluation.rows import is_scored
 
 __all__ = ["Playback", "playback"]
 __all__ += charts.__all__
@@ -53,6 +54,6 @@ def playback(estimates: AnyEstimates | Mapping[str, AnyEstimates], recording: An
     data = []
     for name, run in runs.items():
         tracks = scored_tracks(run, recording)
-        evaluation = evaluate(tracks.association, recording) if tracks.association.scored.any() else None
+        evaluation = Evaluation.of(tracks.rows) if is_scored(tracks.rows).any() else None
         data.append(run_data(tracks, NO_EVENTS, evaluation, name or recording.name, name, len(runs)))
     return Playback(f"{recording.name}, {', '.join(filter(None, runs)) or 'estimates'}", track_page(data))

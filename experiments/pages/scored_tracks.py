@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -17,11 +17,12 @@ from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.data.seconds import zero_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.association import Association, associate_truth
 from trackwright.trackers.evaluation.bounds import bounds_of
-from trackwright.trackers.evaluation.evaluate import associate
-from trackwright.trackers.evaluation.scoring import Scored, in_plane, score
-from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.evaluation.comparison import main_size
+from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
+from trackwright.trackers.evaluation.metrics import METRICS, metrics, sums
+from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, is_scored, scored_rows, wrapped
+from trackwright.trackers.recordings.columns import float_column, run_starts
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, first_time
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
@@ -51,32 +52,63 @@ class Component(NamedTuple):
 
 @dataclass(frozen=True)
 class ScoredRecording:
-    """The estimates of one recording, sorted by track and time.
+    """The estimates of one recording with their errors, its `scored_rows`.
 
-    `errors` (n, 3) m, of bearings (n, 2) rad, `miss` (n,) the horizontal error, m, or the angle between the estimated
-    and the true direction, rad, `nees` and `nees_3d` (n,): NaN in rows that are not scored; `nees_3d` is None for
-    bearings. `student_t_dof`: of the noise behind the NIS; None for normal noise, NaN where no tracker is known.
-    `batches`: the trajectories, for their bound; none where it is not asked for.
+    `student_t_dof`: of the noise behind the NIS; None for normal noise, NaN where no tracker is known. `batches`: the
+    trajectories, for their bound; none where it is not asked for.
     """
 
     folder: RecordingFolder
-    association: Association
-    errors: np.ndarray
-    miss: np.ndarray
-    nees: np.ndarray
-    nees_3d: np.ndarray | None
+    rows: pl.DataFrame
     student_t_dof: float | None
     batches: Sequence[TrackerBatch] = ()
+
+    def columns(self, *names: str) -> np.ndarray:
+        """Columns of the table (n, k); NaN where a value is missing."""
+        return np.stack([float_column(self.rows, name) for name in names], axis=1)
 
     @property
     def times(self) -> np.ndarray:
         """The times (n,) of the rows, s."""
-        return float_column(self.association.rows, "t_s")
+        return float_column(self.rows, "t_s")
 
     @property
     def places(self) -> np.ndarray:
         """The estimates (n, 2) over the floor, m; NaN in rows without one."""
-        return np.stack([float_column(self.association.rows, f"{axis}_m") for axis in "xy"], axis=1)
+        return self.columns("x_m", "y_m")
+
+    @property
+    def truth(self) -> np.ndarray:
+        """The true positions (n, 3), m, at the times of the rows."""
+        return self.columns(*(f"true_{axis}" for axis in AXES))
+
+    @cached_property
+    def scored(self) -> np.ndarray:
+        """Mask (n,) of the rows with both an estimate and a truth."""
+        return is_scored(self.rows)
+
+    @cached_property
+    def errors(self) -> np.ndarray:
+        """The errors (n, 3), m, or of bearings (n, 2), rad; NaN for a known height and in rows that are not scored."""
+        errors = self.columns(*(f"error_{name}" for name in (ANGLES if self.angles else AXES)))
+        if not self.angles:
+            errors[~(float_column(self.rows, "std_z_m") > 0), 2] = np.nan
+        return errors
+
+    @cached_property
+    def miss(self) -> np.ndarray:
+        """The horizontal error (n,), m, or the angle between estimated and true direction, rad."""
+        return float_column(self.rows, main_size(self.rows))
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """The first row of each of the g tracks, then their number (g + 1,)."""
+        return run_starts(self.rows, ["track"])
+
+    @property
+    def first(self) -> pl.DataFrame:
+        """The first row of each track."""
+        return self.rows[self.starts[:-1]]
 
     @property
     def zero(self) -> float:
@@ -87,20 +119,19 @@ class ScoredRecording:
     @property
     def angles(self) -> bool:
         """Whether the estimates are bearings."""
-        return self.errors.shape[1] == 2
+        return is_bearing(self.rows)
 
     @property
     def in_plane(self) -> bool:
         """Whether the estimates are angles in the plane of a flat array."""
-        azimuth = float_column(self.association.rows, "azimuth_rad")
+        azimuth = float_column(self.rows, "azimuth_rad")
         # In the plane of an array each azimuth is ± 90°; without angles none is known.
         known = azimuth[np.isfinite(azimuth)]
         return bool(len(known)) and bool(in_plane(known).all())
 
     def sigmas(self) -> np.ndarray:
         """The reported standard deviations, with shape and unit of `errors`; NaN for a known height."""
-        names = ("std_azimuth_rad", "std_elevation_rad") if self.angles else ("std_x_m", "std_y_m", "std_z_m")
-        sigmas = np.stack([float_column(self.association.rows, name) for name in names], axis=1)
+        sigmas = self.columns(*(f"std_{name}" for name in (ANGLES if self.angles else AXES)))
         sigmas[sigmas == 0] = np.nan
         return sigmas
 
@@ -109,19 +140,16 @@ class ScoredRecording:
 
         Heights without a standard deviation, as known ones, are left out.
         """
-        rows, sigmas = self.association.rows, self.sigmas()
+        sigmas = self.sigmas()
         if not self.angles:
-            values = [float_column(rows, f"{axis}_m") for axis in "xyz"]
-            components = [
-                Component(a, "m", v, e, s) for a, v, e, s in zip("xyz", values, self.errors.T, sigmas.T, strict=True)
-            ]
+            numbers = zip("xyz", self.columns(*AXES).T, self.errors.T, sigmas.T, strict=True)
+            components = [Component(axis, "m", *values) for axis, *values in numbers]
             return components if np.isfinite(sigmas[:, 2]).any() else components[:2]
-        names, errors = ["azimuth", "elevation"], self.errors
-        angles = np.stack([float_column(rows, f"{name}_rad") for name in names], axis=1)
+        names, errors, angles = ["azimuth", "elevation"], self.errors, self.columns(*ANGLES)
         if self.in_plane:
             angle = in_the_plane(angles)
             turned = angle - in_the_plane(angles - errors)
-            errors, names = (np.pi - (np.pi - turned) % (2 * np.pi))[:, None], [IN_PLANE]
+            errors, names = wrapped(turned)[:, None], [IN_PLANE]
             angles, sigmas = angle[:, None], sigmas[:, 1:]
         parts = (np.degrees(part).T for part in (angles, errors, sigmas))
         return [Component(name, "°", *numbers) for name, *numbers in zip(names, *parts, strict=True)]
@@ -131,29 +159,24 @@ class ScoredRecording:
         if self.in_plane:
             (angle,) = self.components()
             return {angle.name: ((angle.errors / angle.sigmas) ** 2, 1)}
-        if self.nees_3d is None:
-            return {"both angles": (self.nees, 2)}
-        return {"horizontal": (self.nees, 2), "3-D": (self.nees_3d, 3)}
+        nees = {name: (float_column(self.rows, name), dof) for name, dof in (("nees", 2), ("nees_3d", 3))}
+        return {"both angles": nees["nees"]} if self.angles else {"horizontal": nees["nees"], "3-D": nees["nees_3d"]}
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Times (t,), s, and Cramér–Rao bounds (t, 3), m, on the standard deviations; None without."""
-        known = not self.angles and self.association.scored.any()
+        known = not self.angles and self.scored.any()
         return bounds_of(self.folder, self.batches) if known else None
 
     def rows_of(self, track: int) -> slice:
         """The rows of a track by its number."""
-        return slice(*map(int, self.association.starts[track : track + 2]))
+        return slice(*map(int, self.starts[track : track + 2]))
 
     @cached_property
     def rmse(self) -> np.ndarray:
         """The RMSE of each track (g,), horizontal in m or of the direction in rad; NaN without truth."""
-        return np.array([root_mean_square(self.miss[self.rows_of(k)]) for k in range(len(self.association.starts) - 1)])
-
-    @property
-    def overall_rmse(self) -> float:
-        """The RMSE of all rows, in the unit of `rmse`; NaN without truth."""
-        return root_mean_square(self.miss)
+        name = main_size(self.rows).replace("size", "rmse")
+        return float_column(metrics(sums(self.rows, "track", of=[name])), name)
 
     def worst_first(self) -> list[int]:
         """The numbers of the tracks from the largest RMSE to the smallest, those without truth last."""
@@ -163,46 +186,32 @@ class ScoredRecording:
 
 @dataclass(frozen=True)
 class ScoredTracks:
-    """The estimates of all recordings with their errors; `batches`: the trajectories, for their bounds."""
+    """The `scored_rows` of all recordings; `batches`: the trajectories, for their bounds."""
 
-    association: Association
+    rows: pl.DataFrame
     folders: Sequence[RecordingFolder]
     batches: Sequence[TrackerBatch]
 
     @property
     def bearing(self) -> bool:
         """Whether the estimates are bearings, not positions."""
-        return is_bearing(self.association.rows)
+        return is_bearing(self.rows)
 
     @cached_property
-    def scored(self) -> Scored:
-        """Errors and consistency of the rows with a truth."""
-        return score(self.association, {folder.name: folder.rig.stations for folder in self.folders})
+    def drawn(self) -> dict[int, str]:
+        """The numbers of the recordings with figures, and why these: all, or the worst, the median and the best."""
+        name = main_size(self.rows).replace("size", "rmse")
+        rmse = dict(sums(self.rows, "recording", of=[name]).select("recording", METRICS[name].expr).iter_rows())
+        return drawn_of(np.array([rmse.get(folder.name) for folder in self.folders], float), self.bearing)
 
     @cached_property
     def recordings(self) -> list[ScoredRecording]:
         """Each recording with its rows; those with figures with what their bounds need."""
-        rows, scored = self.association.rows, self.scored
-        errors = np.full((len(rows), 2 if self.bearing else 3), np.nan)
-        miss, nees, spatial = np.full((3, len(rows)), np.nan)
-        errors[scored.index], miss[scored.index], nees[scored.index] = scored.errors, scored.size, scored.nees
-        if scored.nees_3d is not None:
-            spatial[scored.index] = scored.nees_3d
-        if not self.bearing:
-            errors[~(float_column(rows, "std_z_m") > 0), 2] = np.nan
-        names, recordings = rows["recording"], []
-        for folder in self.folders:
-            own, part = (names == folder.name).to_numpy(), self.association.of_recording(folder.name)
-            nees_3d, noise = None if scored.nees_3d is None else spatial[own], noise_of(folder, self.batches)
-            recordings.append(ScoredRecording(folder, part, errors[own], miss[own], nees[own], nees_3d, noise))
-        for k in drawn_of(np.array([one.overall_rmse for one in recordings]), self.bearing):
-            recordings[k] = replace(recordings[k], batches=self.batches)
-        return recordings
-
-    @property
-    def drawn(self) -> dict[int, str]:
-        """The numbers of the recordings with figures, and why these: all, or the worst, the median and the best."""
-        return drawn_of(np.array([recording.overall_rmse for recording in self.recordings]), self.bearing)
+        parts = [self.rows.filter(pl.col("recording") == folder.name) for folder in self.folders]
+        return [
+            ScoredRecording(folder, part, noise_of(folder, self.batches), self.batches if k in self.drawn else ())
+            for k, (folder, part) in enumerate(zip(self.folders, parts, strict=True))
+        ]
 
     @property
     def drawn_words(self) -> str:
@@ -229,21 +238,17 @@ def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth
     for one, and for estimates of several recordings without one given.
     """
     table = estimates.to_polars()
-    whole = recording if isinstance(recording, RecordingFolder) else None
-    if whole is None:
-        known = isinstance(recording, Recording) and "position" in recording.truth
-    else:
-        known = "truth" in whole.tables
-    if recording is not None and (known or truth):
-        association = associate(estimates, recording)
-    else:
-        association = associate_truth(table if "tag" in table.columns else table.with_columns(tag=pl.lit("")), {})
     names = table["recording"].unique().to_list() if recording is None else [recording.name]
     if len(names) != 1:
         raise UnusableInput(f"plot: found estimates of {len(names)} recordings; expected a recording beside them")
+    if recording is not None and (truth or truths_of(recording)):
+        rows = rows_of(estimates, recording)
+    else:
+        rows = scored_rows(table if "tag" in table.columns else table.with_columns(tag=pl.lit("")), {})
     # A recording in arrays has no installation and no tables of readings.
-    folder = RecordingFolder(names[0], None, Rig(names[0]), {}) if whole is None else whole
-    return ScoredTracks(association, [folder], estimates.batches if isinstance(estimates, Tracks) else ())
+    none = RecordingFolder(names[0], None, Rig(names[0]), {})
+    folder = recording if isinstance(recording, RecordingFolder) else none
+    return ScoredTracks(rows, [folder], estimates.batches if isinstance(estimates, Tracks) else ())
 
 
 def noise_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> float | None:

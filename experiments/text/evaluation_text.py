@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
+import polars as pl
 from rich.table import Table
 
 from trackwright.experiments.text.tables import compact_table, rendered, width_of
@@ -118,8 +118,10 @@ def _lines(evaluation: Evaluation, labels: Sequence[str]) -> list[Line]:
     """The table's rows of tracks, recordings and all."""
     lines: list[Line] = []
     for recording in evaluation.recordings:
-        tracks = [track for track in evaluation.tracks if track["recording"] == recording["recording"]]
-        lines += [([track[label] for label in labels], track, None) for track in _worst(tracks, evaluation.bearing)]
+        tracks = worst = [track for track in evaluation.tracks if track["recording"] == recording["recording"]]
+        if len(tracks) > SHOWN_TRACKS:
+            worst = heapq.nlargest(SHOWN_TRACKS, tracks, key=partial(_p95, evaluation.bearing))
+        lines += [([track[label] for label in labels], track, None) for track in worst]
         if len(tracks) > 1:
             blank = [""] * (len(labels) - 2)
             lines.append(([recording["recording"], f"all {len(tracks)}", *blank], recording, "bold"))
@@ -130,17 +132,8 @@ def _lines(evaluation: Evaluation, labels: Sequence[str]) -> list[Line]:
 
 def _median(recordings: Sequence[Metrics]) -> Metrics:
     """The median of each metric over the recordings that have it."""
-    names = [name for name in recordings[0] if name != "recording"]
-    columns = np.array([[metrics[name] for name in names] for metrics in recordings], float).T
-    known = {name: column[np.isfinite(column)] for name, column in zip(names, columns, strict=True)}
-    medians: Metrics = {name: float(np.median(values)) if len(values) else None for name, values in known.items()}
+    medians = pl.DataFrame(recordings, infer_schema_length=None).drop("recording").median().row(0, named=True)
     return medians | {"n": round(medians["n"])}
-
-
-def _worst(tracks: list[Metrics], bearing: bool) -> list[Metrics]:
-    if len(tracks) <= SHOWN_TRACKS:
-        return tracks
-    return sorted(tracks, key=partial(_p95, bearing), reverse=True)[:SHOWN_TRACKS]
 
 
 def _p95(bearing: bool, metrics: Metrics) -> float:

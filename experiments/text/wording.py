@@ -19,7 +19,7 @@ STUDIES = {
 }
 """The metrics of a study that are no metrics of scores."""
 
-SUFFIXES = {**{name: kind.words for name, kind in ERROR_KINDS.items()}, "m": "", "rad": "", "m2": "", "s": ""}
+SUFFIXES = {**ERROR_KINDS, "m": "", "rad": "", "m2": "", "s": ""}
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

@@ -19,7 +19,7 @@ from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.study import study_page
 from trackwright.experiments.pages.reports.track import run_data, write_track_page
 from trackwright.experiments.pages.reports.tuning import tuning_page
-from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.tuning.calibrating import calibrate
 
 BUTTONS = {"Zoom", "Pan", "Reset axes", "Download plot as a PNG", "Download plot as a png"}
@@ -42,7 +42,7 @@ FOUND = """() => {
 
 def _track(folder):
     tracks = small_tracks()
-    run = run_data(tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), "uwb")
+    run = run_data(tracks, NO_EVENTS, Evaluation.of(tracks.rows), "uwb")
     write_track_page(folder / "track.html", [run], "trackwright track hall")
     return folder / "track.html"
 

@@ -17,8 +17,8 @@ from trackwright.sim.worlds import ranges as ranges_world
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.run.smoother import Smoothed
-from trackwright.trackers.evaluation.evaluate import associate
-from trackwright.trackers.evaluation.scoring import covariances, score
+from trackwright.trackers.evaluation.evaluate import rows_of
+from trackwright.trackers.evaluation.rows import covariances
 from trackwright.tuning.data import fit_data
 from trackwright.tuning.named_objectives import HEIGHT_WEIGHT, all_metrics, parse_objective
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
@@ -182,11 +182,11 @@ def _density(errors, P):
 
 def _shown(tracker, folder):
     """RMSE and negative log density, in NumPy from the table of estimates and the table of truth."""
-    association = associate(tracker.run(folder), folder)
-    scored = score(association, {folder.name: folder.rig.stations})
-    if scored.nees_3d is None:
-        return {"rmse": np.sqrt(np.mean(np.sum(scored.errors**2, axis=1)))}
-    errors, P = scored.errors, covariances(association.rows[scored.index])
+    rows = rows_of(tracker.run(folder), folder).filter(pl.col("why").is_null())
+    if "azimuth_rad" in rows.columns:
+        errors = rows.select("error_azimuth_rad", "error_elevation_rad").to_numpy()
+        return {"rmse": np.sqrt(np.mean(np.sum(errors**2, axis=1)))}
+    errors, P = rows.select(f"error_{a}_m" for a in "xyz").to_numpy(), covariances(rows)
     plane, space = (_density(errors[:, :d], P[:, :d, :d]) for d in (2, 3))
     return {
         "rmse": np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))),

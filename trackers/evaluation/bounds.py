@@ -1,12 +1,12 @@
 """The posterior Cramér–Rao bound of a tracker's model (Tichavský, Muravchik and Nehorai 1998).
 
-And that of the position errors on a recording, evaluated along its truth.
+And the bound of the position errors on a recording, evaluated along its truth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -46,40 +46,33 @@ class NoBoundError(ValueError):
 def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple[np.ndarray, np.ndarray] | None:
     """Times (t,), s, and bounds (t, 3), m, on the standard deviation of a recording's positions, over the known truth.
 
-    The information is averaged over the tags of the recording if they share their times, else it is that of the first
-    tag. True velocities are difference quotients of the truth. None without truth, and for a tracker without a bound:
+    The information is averaged over the tags of the recording if they share their times, else it is the first
+    tag's. True velocities are difference quotients of the truth. None without truth, and for a tracker without a bound:
     any but an extended Kalman filter of position and velocity at the times of its rows.
     """
-    mine = [(b, trajectory) for b in batches for trajectory in b.trajectories if trajectory.folder.name == folder.name]
-    if not mine or not isinstance(mine[0][0].tracker, Tracker) or mine[0][1].station:
+    mine = [(b, t) for b in batches for t in b.trajectories if t.folder.name == folder.name][:MAX_RUNS]
+    if not mine or mine[0][1].station:
         return None
-    tracker, first = mine[0][0].tracker, mine[0][1].recording
-    if not isinstance(tracker.filter, ExtendedKalman) or tracker.latency is not None:
+    owner, first, tracker = mine[0][0], mine[0][1].recording, mine[0][0].tracker
+    if not (isinstance(tracker, Tracker) and isinstance(tracker.filter, ExtendedKalman)) or tracker.latency is not None:
         return None
     known = first.truth["position"][1]
     if known.sum() < 3:
         return None
-    rows = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
-    same = [
-        trajectory.recording
-        for owner, trajectory in mine[:MAX_RUNS]
-        if owner is mine[0][0]
-        and np.array_equal(trajectory.recording.times, first.times)
-        and np.array_equal(trajectory.recording.truth["position"][1], known)
-    ]
+    begin, last = np.flatnonzero(known)[[0, -1]].tolist()
+    rows = slice(begin, last + 1)
+    recordings = [t.recording for b, t in mine if b is owner and np.array_equal(t.recording.times, first.times)]
+    same = [r for r in recordings if np.array_equal(r.truth["position"][1], known)]
     batch = stack(same).rows(rows)
     velocities = _velocities(tracker, batch)
     if velocities is None:
         return None
     positions = np.stack([r.truth["position"][0][rows] for r in same], axis=-1)
     times = first.times[rows]
-    dimensions = 2 if mine[0][0].planar else 3
-    step = np.maximum(np.gradient(times), 1e-3)[:, None, None]
-    speeds = np.gradient(positions, axis=0) / step
-    state = Kinematic(
-        Vector.of(np.asarray(positions[:, k], batch.dt.dtype) for k in range(dimensions)),
-        Vector.of(np.asarray(speeds[:, k], batch.dt.dtype) for k in range(velocities)),
-    )
+    dimensions = 2 if owner.planar else 3
+    speeds = np.gradient(positions, axis=0) / np.maximum(np.gradient(times), 1e-3)[:, None, None]
+    parts = ((positions, dimensions), (speeds, velocities))
+    state = Kinematic(*(Vector.of(np.asarray(x[:, k], batch.dt.dtype) for k in range(n)) for x, n in parts))
     try:
         bound = posterior_bound(tracker, batch, state)[:, :dimensions]
     except NoBoundError:
@@ -89,12 +82,8 @@ def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple
 
 def _velocities(tracker: Tracker, batch: Batch) -> int | None:
     """The number of velocities in a state of position and velocity alone; None for another state."""
-    first = jax.tree_util.tree_map(lambda x: x[0, ..., 0], _rows(batch))
-
-    def initial_mean(first: Row) -> Any:
-        return tracker.start.belief(tracker.start.candidate(tracker.sensors, first), first).mean
-
-    mean = jax.eval_shape(initial_mean, first)
+    first, start = jax.tree_util.tree_map(lambda x: x[0, ..., 0], _rows(batch)), tracker.start
+    mean = jax.eval_shape(lambda row: start.belief(start.candidate(tracker.sensors, row), row).mean, first)
     return len(mean.velocity) if isinstance(mean, Kinematic) else None
 
 
@@ -218,7 +207,7 @@ def _terms(tracker: Tracker, part: tuple[Row, State, State]) -> tuple[Array, ...
 
             def residual_of(*values: Scalar, sensor: AbstractSensor = sensor, exact: Reading = exact) -> list[Scalar]:
                 result = sensor.residual(exact, list(sensor.measure(motion.view(rebuild(values)), row.inputs)))
-                # The Fisher information of Student's t is (ν + 1)/(ν + 3) times that of the normal.
+                # The Fisher information of Student's t is (ν + 1)/(ν + 3) times the normal's.
                 weight = 1.0 if result.dof is None else (result.dof + 1.0) / (result.dof + 3.0)
                 return [*result.whitened, weight]
 

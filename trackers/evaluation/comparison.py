@@ -8,18 +8,15 @@ jackknife over pieces (Efron and Stein 1981; Künsch 1989 for pieces of a time s
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import polars as pl
 
-from trackwright.trackers.core.data.consistency import chi_square_quantile
-from trackwright.trackers.evaluation import metrics as table
-from trackwright.trackers.evaluation.association import Association
-from trackwright.trackers.evaluation.scores import Groups, Scores, Values, error_sums
-from trackwright.trackers.evaluation.scoring import Scored
-from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.tracks_table import track_keys
+from trackwright.trackers.evaluation.metrics import columns_of, metrics, sums
+from trackwright.trackers.recordings.columns import codes, float_column
+from trackwright.trackers.recordings.tracks_table import is_bearing, track_keys
 
 MOST_PIECES, LEAST_PIECES = 30, 5
 MANY_TRACKS = 30
@@ -31,24 +28,9 @@ CORRELATION_TIMES = 4.0
 BINS = 600
 """Bins of time in which the autocorrelation is estimated."""
 
-Key = tuple[str, ...]
-"""Recording, tag and, of bearings, station."""
-
-
-class TrackErrors(NamedTuple):
-    """Scored estimates of a track: `times` (n,) s, and of each the error, m, or of bearings the angle, rad.
-
-    `error_3d` (n,): NaN of bearings. `inside` (n,): 1 where the 95 % ellipse contains the truth, else 0; NaN without a
-    covariance. `density`, `energy` (n,): log density of the truth, nats, and energy score, m; NaN without a positive
-    definite covariance, and the latter of bearings.
-    """
-
-    times: np.ndarray
-    error: np.ndarray
-    error_3d: np.ndarray
-    inside: np.ndarray
-    density: np.ndarray
-    energy: np.ndarray
+COMPARED = ("rmse_m", "median_m", "p95_m", "rmse_direction_rad", "median_direction_rad", "p95_direction_rad",
+            "rmse_3d_m", "coverage_95", "log_density", "energy_score_m")  # fmt: skip
+"""The metrics that are compared."""
 
 
 class Difference(NamedTuple):
@@ -72,45 +54,40 @@ class Difference(NamedTuple):
         return self.second - self.first
 
 
-METRICS = ("rmse_m", "median_m", "p95_m", "rmse_3d_m", "coverage_95", "log_density", "energy_score_m")
-"""The metrics of which differences are taken; those of bearings are of the angle."""
-
-
-def errors_by_track(association: Association, scored: Scored) -> dict[Key, TrackErrors]:
-    """The scored errors of each track by its recording, tag and station."""
-    keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].rows()
-    times = float_column(association.rows, "t_s")[scored.index]
-    in_space = scored.sizes.get("3d_m", np.full(len(times), math.nan))
-    inside = np.where(~np.isnan(scored.nees), scored.nees <= chi_square_quantile(0.95, 2), math.nan)
-    known, energy = np.isfinite(scored.nees), np.full(len(times), math.nan)
-    if scored.nees_3d is not None:
-        energy[known] = scored.energy_score(known, 2)
-    density = np.where(known, scored.log_density(2), math.nan)
-    ends = np.searchsorted(scored.index, association.starts)
-    rows = TrackErrors(times, scored.size, in_space, inside, density, energy)
-    return {
-        tuple(key): TrackErrors(*(x[a:b] for x in rows))
-        for key, a, b in zip(keys, ends[:-1], ends[1:], strict=True)
-        if b > a
-    }
+def main_size(rows: pl.DataFrame) -> str:
+    """The column with the horizontal error, m, or of bearings with the angle to the true direction, rad."""
+    return "size_direction_rad" if is_bearing(rows) else "size_m"
 
 
 def paired_differences(
-    first: Mapping[Key, TrackErrors], second: Mapping[Key, TrackErrors], metrics: Sequence[str] = tuple(METRICS)
+    first: pl.DataFrame, second: pl.DataFrame, names: Sequence[str] = COMPARED
 ) -> dict[str, Difference]:
-    """The differences of the metrics over the tracks that both runs have; empty without a common track."""
-    common = [key for key in first if key in second]
-    if not common:
+    """The differences of the metrics of scored rows over the tracks that both runs have; empty without a common one."""
+    runs, keys = [run.filter(pl.col("why").is_null()) for run in (first, second)], track_keys(first)
+    common = runs[0].select(keys).unique(maintain_order=True).join(runs[1].select(keys), keys, "semi")
+    if common.is_empty():
         return {}
-    a, b = _in_pieces(common, first, second)
-    pieces = np.intersect1d(a.piece, b.piece)
-    a, b = a.of(pieces), b.of(pieces)
-    kind = "tracks" if len(common) >= MANY_TRACKS else "pieces of time, several times longer than errors last"
-    before, after = (run.metrics(metrics, pieces) for run in (a, b))
+    pieces = common.sort(keys).with_row_index("piece")
+    runs = [run.join(pieces, keys, maintain_order="left") for run in runs]
+    kind = "tracks"
+    if len(common) < MANY_TRACKS:
+        runs, kind = _in_pieces(runs), "pieces of time, several times longer than errors last"
+    shared = np.intersect1d(runs[0]["piece"].to_numpy(), runs[1]["piece"].to_numpy())
+    before, after = (_without_each(run, shared, names) for run in runs)
     return {
         name: jackknifed(x[0].item(), y[0].item(), y[1:] - x[1:])._replace(kind=kind)
-        for (name, x), y in zip(before.items(), after.values(), strict=True)
+        for name, x in before.items()
+        if (y := after.get(name)) is not None
     }
+
+
+def _without_each(rows: pl.DataFrame, pieces: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """The metrics by name, (1 + k,): of the rows in these k pieces, and of those without each of them."""
+    needed = columns_of(names) & {*rows.columns}
+    rows = rows.filter(pl.col("piece").is_in(pieces)).select("piece", *needed)
+    parts = [rows, *(rows.filter(pl.col("piece") != piece) for piece in pieces)]
+    found = metrics(pl.concat([sums(part, of=names) for part in parts]), names)
+    return {name: float_column(found, name) for name in found.columns}
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -126,73 +103,26 @@ def holm(p: Sequence[float]) -> list[float]:
     return [float(x) for x in adjusted]
 
 
-class _Pieces(NamedTuple):
-    """The rows of a run and the `piece` (n,) of each."""
-
-    rows: TrackErrors
-    piece: np.ndarray
-
-    def of(self, pieces: np.ndarray) -> _Pieces:
-        kept = np.isin(self.piece, pieces)
-        return _Pieces(TrackErrors(*(x[kept] for x in self.rows)), self.piece[kept])
-
-    def metrics(self, names: Sequence[str], pieces: np.ndarray) -> dict[str, np.ndarray]:
-        """The metrics by name, (1 + k,): of all rows, and of those without each of the k pieces."""
-        parts = [_scores(self.rows, self.piece != piece) for piece in (None, *pieces)]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return {name: np.array([table.METRICS[name].formula(part).item() for part in parts]) for name in names}
-
-
-def _scores(rows: TrackErrors, kept: np.ndarray) -> Scores:
-    """The scores of the rows that are kept, (n,), as one group."""
-    sums: dict[str, np.ndarray] = {}
-    for kind, size in (("m", rows.error), ("3d_m", rows.error_3d)):
-        known = size[kept & ~np.isnan(size)]
-        sums |= error_sums(kind, known, Groups(np.array([0, len(known)])))[0]
-    inside, density, energy = (x[kept & ~np.isnan(x)] for x in (rows.inside, rows.density, rows.energy))
-    sums |= {
-        "n nees": np.array([len(density)]),
-        "zero nees": np.array([len(inside) - len(density)]),
-        "inside 95 nees": np.array([inside.sum()]),
-        "log density nees": np.array([density.sum()]),
-        "energy nees": np.array([energy.sum() if len(energy) else math.nan]),
-    }
-    errors = rows.error[kept]
-    return Scores(sums, {}, {}, {"m": Values(errors, np.array([0, len(errors)]))})
-
-
-def _in_pieces(
-    common: Sequence[Key], first: Mapping[Key, TrackErrors], second: Mapping[Key, TrackErrors]
-) -> tuple[_Pieces, _Pieces]:
-    """The rows of the common tracks of both runs with their pieces, −1 outside the time that both cover."""
-    joined = [_joined([run[key] for key in common]) for run in (first, second)]
-    lengths = [np.array([len(run[key].times) for key in common]) for run in (first, second)]
-    if len(common) >= MANY_TRACKS:
-        return tuple(  # type: ignore[return-value]
-            _Pieces(rows, np.repeat(np.arange(len(common)), n)) for rows, n in zip(joined, lengths, strict=True)
-        )
-    names = list(dict.fromkeys(key[0] for key in common))
-    number = np.array([names.index(key[0]) for key in common])
-    recording = [np.repeat(number, n) for n in lengths]
-    spans = []
-    for k in range(len(names)):
-        times = [rows.times[of == k] for rows, of in zip(joined, recording, strict=True)]
-        spans.append((max(x.min() for x in times), min(x.max() for x in times)))
-    length = _piece_length([(rows.times, rows.error**2) for rows in joined], recording, spans)
-    parts = []
-    for rows, of in zip(joined, recording, strict=True):
-        piece = _numbered(rows.times, of, spans, length)
-        parts.append(_Pieces(rows, piece).of(np.unique(piece[piece >= 0])))
-    return tuple(parts)  # type: ignore[return-value]
+def _in_pieces(runs: Sequence[pl.DataFrame]) -> list[pl.DataFrame]:
+    """The rows of both runs with their pieces of time, of the time that both cover."""
+    names = runs[0]["recording"].unique(maintain_order=True).to_list()
+    times = [float_column(run, "t_s") for run in runs]
+    of = [codes(run["recording"], names) for run in runs]
+    shared = [[t[number == k] for t, number in zip(times, of, strict=True)] for k in range(len(names))]
+    spans = np.array([(max(x.min() for x in both), min(x.max() for x in both)) for both in shared])
+    squares = [run[main_size(run)].to_numpy() ** 2 for run in runs]
+    length = _piece_length([*zip(times, squares, strict=True)], of, spans)
+    pieces = (_numbered(t, number, spans, length) for t, number in zip(times, of, strict=True))
+    return [run.with_columns(piece=piece).filter(pl.col("piece") >= 0) for run, piece in zip(runs, pieces, strict=True)]
 
 
 def paired_means(times: np.ndarray, first: np.ndarray, second: np.ndarray, recording: np.ndarray) -> Difference:
     """The difference of the means of two values (n,) of the same rows; all recordings have the same weight.
 
-    `times` (n,), s; `recording` (n,): the name of that of each row.
+    `times` (n,), s; `recording` (n,): its name.
     """
     _, of, rows = np.unique(recording, return_inverse=True, return_counts=True)
-    spans = [(times[of == k].min(), times[of == k].max()) for k in range(len(rows))]
+    spans = np.array([(times[of == k].min(), times[of == k].max()) for k in range(len(rows))])
     # About the mean of each recording: what differs between them is no correlation in time.
     means = np.bincount(of, second - first) / rows
     length = _piece_length([(times, np.zeros(len(of))), (times, second - first - means[of])], [of, of], spans)
@@ -203,37 +133,33 @@ def paired_means(times: np.ndarray, first: np.ndarray, second: np.ndarray, recor
     return jackknifed(float(a.sum() / weight.sum()), float(b.sum() / weight.sum()), without)
 
 
-def _numbered(times: np.ndarray, of: np.ndarray, spans: Sequence[tuple], length: float) -> np.ndarray:
+def _numbered(times: np.ndarray, of: np.ndarray, spans: np.ndarray, length: float) -> np.ndarray:
     """The piece (n,) of each row of the recordings `of` (n,), whose spans have pieces of that length, s; −1 outside."""
-    piece, before = np.full(len(times), -1), 0
-    for k, (begin, end) in enumerate(spans):
-        count = max(int((end - begin) / length), 1) if end > begin else 1
-        in_span = np.flatnonzero((of == k) & (times >= begin) & (times <= end))
-        share = (times[in_span] - begin) / max(end - begin, 1e-9)
-        piece[in_span] = before + np.minimum((share * count).astype(int), count - 1)
-        before += count
-    return piece
+    begin, end = spans.T
+    counts = np.maximum(((end - begin) / length).astype(int), 1)
+    share = (times - begin[of]) / np.maximum(end - begin, 1e-9)[of]
+    piece = (np.cumsum(counts) - counts)[of] + np.minimum((share * counts[of]).astype(int), counts[of] - 1)
+    return np.where((times >= begin[of]) & (times <= end[of]), piece, -1)
 
 
 def _piece_length(
-    values: Sequence[tuple[np.ndarray, np.ndarray]], recording: Sequence[np.ndarray], spans: Sequence[tuple]
+    values: Sequence[tuple[np.ndarray, np.ndarray]], recording: Sequence[np.ndarray], spans: np.ndarray
 ) -> float:
     """Seconds: a thirtieth of the time of all recordings, and several correlation times of the difference.
 
-    `values`: of each run, the times of its rows and the values whose difference that is.
+    `values`: of each run, the times of its rows and the values whose difference that is. `spans` (r, 2), s.
     """
-    total = sum(max(end - begin, 0.0) for begin, end in spans)
-    width, runs = max(total / BINS, 1e-9), []
-    for k, (begin, end) in enumerate(spans):
-        count = max(int((end - begin) / width), 1)
-        means = []
-        for (times, value), of in zip(values, recording, strict=True):
-            in_span = (of == k) & (times >= begin) & (times <= end)
-            place = np.minimum(((times[in_span] - begin) / width).astype(int), count - 1)
-            n = np.bincount(place, minlength=count)
-            means.append(np.bincount(place, value[in_span], minlength=count) / np.where(n, n, np.nan))
-        difference = means[1] - means[0]
-        runs.append(difference[np.isfinite(difference)])
+    begin, end = spans.T
+    total = float(np.maximum(end - begin, 0.0).sum())
+    width, means = max(total / BINS, 1e-9), []
+    counts = np.maximum(((end - begin) / width).astype(int), 1)
+    for (times, value), of in zip(values, recording, strict=True):
+        inside = (times >= begin[of]) & (times <= end[of])
+        number, bins = of[inside], ((times - begin[of])[inside] / width).astype(int)
+        place = (np.cumsum(counts) - counts)[number] + np.minimum(bins, counts[number] - 1)
+        n, sums_of = (np.bincount(place, x, counts.sum()) for x in (None, value[inside]))
+        means.append(sums_of / np.where(n, n, np.nan))
+    runs = [x[np.isfinite(x)] for x in np.split(means[1] - means[0], np.cumsum(counts)[:-1])]
     return max(total / MOST_PIECES, CORRELATION_TIMES * width * _correlation_time(runs), 1e-9)
 
 
@@ -244,8 +170,8 @@ def _correlation_time(runs: Sequence[np.ndarray]) -> float:
         return 1.0
     mean, variance, time = values.mean(), values.var(), 1.0
     for lag in range(1, len(values) // 3):
-        products = [(x[lag:] - mean) * (x[:-lag] - mean) for x in runs if len(x) > lag]
-        time += 2.0 * float(np.concatenate(products).sum()) / len(values) / variance if products else 0.0
+        products = sum(float((x[lag:] - mean) @ (x[:-lag] - mean)) for x in runs if len(x) > lag)
+        time += 2.0 * products / len(values) / variance
         if lag >= 5 * time:
             break
     return max(time, 1.0)
@@ -253,22 +179,14 @@ def _correlation_time(runs: Sequence[np.ndarray]) -> float:
 
 def jackknifed(first: float, second: float, without: np.ndarray) -> Difference:
     """The difference of two values, with its interval by the differences without each of the pieces (n,)."""
-    n = len(without)
-    unknown = Difference(first, second, math.nan, math.nan, math.nan, n)
-    if n < LEAST_PIECES or not math.isfinite(second - first):
-        return unknown
-    variance = (n - 1) / n * float(((without - without.mean()) ** 2).sum())
-    if not math.isfinite(variance):
-        return unknown
+    n, value = len(without), second - first
+    variance = (n - 1) / n * float(((without - without.mean()) ** 2).sum()) if n >= LEAST_PIECES else math.nan
+    if not math.isfinite(value + variance):
+        return Difference(first, second, math.nan, math.nan, math.nan, n)
     if variance == 0.0:
-        same = second == first
-        return Difference(first, second, second - first, second - first, 1.0 if same else 0.0, n)
+        return Difference(first, second, value, value, float(value == 0), n)
     from scipy.special import stdtr, stdtrit
 
-    sigma, value = math.sqrt(variance), second - first
+    sigma = math.sqrt(variance)
     half = float(stdtrit(n - 1, 0.975)) * sigma
     return Difference(first, second, value - half, value + half, 2.0 * float(stdtr(n - 1, -abs(value) / sigma)), n)
-
-
-def _joined(parts: Sequence[TrackErrors]) -> TrackErrors:
-    return TrackErrors(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

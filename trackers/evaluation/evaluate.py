@@ -7,29 +7,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.frames import evaluation_html, evaluation_text
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
-from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.wording import counted, numbered_names
-from trackwright.trackers.evaluation.association import (
-    Association,
-    associate_paths,
-    associate_truth,
-    refuse_without_overlap,
-)
-from trackwright.trackers.evaluation.metrics import RESIDUALS, MetricRows
-from trackwright.trackers.evaluation.scores import Scores
-from trackwright.trackers.evaluation.scoring import score, scores_of_tracks
+from trackwright.trackers.evaluation.metrics import RESIDUALS, added, metrics, sums
+from trackwright.trackers.evaluation.rows import is_scored, refuse_without_overlap, scored_rows
 from trackwright.trackers.evaluation.statements import covariance_statements
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.tracks_table import is_bearing, track_keys
-from trackwright.trackers.recordings.truth import TruePaths
 
 # Tables are evaluated without jax, which takes as long to import as most of them to evaluate.
 if TYPE_CHECKING:
@@ -41,6 +32,9 @@ if TYPE_CHECKING:
 
 Metrics = dict[str, Any]
 """Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
+
+Ratios = Mapping[str, tuple[float, float]]
+"""By recording, its `residual_ratios`."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,6 +48,20 @@ class Evaluation:
     overall: Metrics
     recordings: Sequence[Metrics]
     tracks: Sequence[Metrics]
+
+    @classmethod
+    def of(cls, rows: pl.DataFrame, ratios: Ratios | None = None) -> Evaluation:
+        """The metrics of scored rows; None if no row is scored."""
+        found = pl.DataFrame(
+            [(name, *both) for name, both in (ratios or {}).items()],
+            {"recording": pl.String} | dict.fromkeys(RESIDUALS, pl.Float64),
+            orient="row",
+        )
+        recordings = sums(rows, "recording").join(found, "recording", "left", maintain_order="left")
+        tracks = sums(rows, *track_keys(rows)).with_columns(**dict.fromkeys(RESIDUALS, pl.lit(None, pl.Float64)))
+        labelled = [(recordings, ["recording"]), (tracks, track_keys(rows))]
+        levels = [of.select(keys).hstack(metrics(of)).to_dicts() for of, keys in labelled]
+        return cls(is_bearing(rows), metrics(added(recordings, rows.lazy())).row(0, named=True), *levels)
 
     def __getitem__(self, metric: str) -> Any:
         if metric not in self.overall:
@@ -81,96 +89,42 @@ class Evaluation:
 
 
 def evaluate(
-    estimates: Tracks | Estimates | pl.DataFrame | Association,
-    recordings: OneOrMore,
-    every: float | None = None,
+    estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore, every: float | None = None
 ) -> Evaluation:
     """The error metrics of estimates against the truth of their recordings, interpolated at the times of the estimates.
 
-    `estimates`: `Tracks`, a table with the columns of tracks.parquet, the `Estimates` of `Recording`s whose truth is a
-    `position`, or the `Association` of any of these. `every`: s, score only the last estimate in each interval of that
-    length. Recordings in arrays of one name are told apart by their place, which must be that of the run. Raises
-    UnusableInput if no recording has a truth, or no estimate lies inside that of its recording and tag, and for two
-    folders of one name.
+    `estimates`: `Tracks`, a table with the columns of tracks.parquet, or the `Estimates` of `Recording`s whose truth is
+    a `position`. `every`: s, score only the last estimate in each interval of that length. Recordings in arrays of one
+    name are told apart by their place, which must be that of the run. Raises UnusableInput if no recording has a truth,
+    or no estimate lies inside the truth of its recording and tag, and for two folders of one name.
     """
     recordings = _several(recordings)
-    stations = {f.name: f.rig.stations for f in recordings if isinstance(f, RecordingFolder)}
-    association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
-    if not association.scored.any():
-        refuse_without_overlap(association, _truths(recordings))
-    return evaluate_association(association, stations, every, _ratios(estimates))
-
-
-def _ratios(estimates: Tracks | Estimates | pl.DataFrame | Association) -> dict[str, tuple[float, float]]:
-    """The `residual_ratios` of tracks; none of estimates without their readings."""
-    if isinstance(estimates, pl.DataFrame | Association):
-        return {}
+    rows = rows_of(estimates, recordings, every)
+    if not is_scored(rows).any():
+        refuse_without_overlap(rows, truths_of(recordings))
+    if isinstance(estimates, pl.DataFrame):
+        return Evaluation.of(rows)
     from trackwright.trackers.evaluation.residuals import residual_ratios
     from trackwright.trackers.recordings.tracks import Tracks
 
-    return residual_ratios(estimates) if isinstance(estimates, Tracks) else {}
+    return Evaluation.of(rows, residual_ratios(estimates) if isinstance(estimates, Tracks) else None)
 
 
-class TrackScores(NamedTuple):
-    """The scores of tracks: the `keys` that identify each, and whether they are bearings."""
-
-    keys: pl.DataFrame
-    bearing: bool
-    scores: Scores
-
-    @classmethod
-    def of(
-        cls, association: Association, stations: Mapping[str, Mapping[str, Station]] | None, every: float | None = None
-    ) -> TrackScores:
-        """The tracks of associated estimates; `stations`, `every` as in `evaluate_association`."""
-        rows = association.rows
-        keys = rows.select(track_keys(rows))[association.starts[:-1]]
-        return cls(keys, is_bearing(rows), scores_of_tracks(association, score(association, stations, every)))
-
-    def recordings(self, ratios: Mapping[str, tuple[float, float]]) -> tuple[list[str], Scores]:
-        """The names of the recordings and their scores; `ratios`: of their residuals, see `residual_ratios`."""
-        names = self.keys["recording"].to_list()
-        first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
-        single = len(first) == len(names)
-        scores = self.scores if single else self.scores.grouped(np.array([*first, len(names)]))
-        recordings = [names[k] for k in first]
-        columns = np.array([ratios.get(name, (np.nan, np.nan)) for name in recordings]).T
-        return recordings, replace(scores, largest={**scores.largest, **dict(zip(RESIDUALS, columns, strict=True))})
-
-    def evaluation(self, ratios: Mapping[str, tuple[float, float]] | None = None) -> Evaluation:
-        """The metrics by track, by recording and overall."""
-        names, recordings = self.recordings(ratios or {})
-        (overall,) = MetricRows(recordings.grouped(np.array([0, len(names)])))
-        tracks = MetricRows(self.scores, self.keys.to_dict(as_series=False))
-        return Evaluation(self.bearing, overall, MetricRows(recordings, {"recording": names}), tracks)
-
-
-def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> Association:
-    """The estimates with the true position at the time of each; `evaluate` accepts the result, and so do plots.
-
-    Arguments as of `evaluate`. Raises UnusableInput if no recording has a truth.
-    """
+def rows_of(
+    estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore, every: float | None = None
+) -> pl.DataFrame:
+    """The `scored_rows` of estimates; arguments as of `evaluate`. Raises UnusableInput if no recording has a truth."""
     several = _several(recordings)
-    if isinstance(estimates, pl.DataFrame):
-        return associate_truth(estimates, _required_truths(several))
-    from trackwright.trackers.core.data.estimates import Estimates
-
-    if isinstance(estimates, Estimates):
-        _refuse_other_places(estimates.names, [recording.name for recording in several])
-        table = estimates.to_polars().with_columns(tag=pl.lit(""))
-        arrays = [recording for recording in several if not isinstance(recording, RecordingFolder)]
-        if len(arrays) == len(several) and any("position" in recording.truth for recording in arrays):
-            return associate_paths(table, _true_paths(arrays))
-        return associate_truth(table, _required_truths(several))
-    return associate_truth(estimates.to_polars(), _required_truths(several))
-
-
-def _required_truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
-    truths = _truths(recordings)
+    table = estimates if isinstance(estimates, pl.DataFrame) else estimates.to_polars()
+    if "tag" not in table.columns and not isinstance(estimates, pl.DataFrame):
+        _refuse_other_places(getattr(estimates, "names", ()), [recording.name for recording in several])
+        table = table.with_columns(tag=pl.lit(""))
+    truths = truths_of(several)
     if not truths:
-        names = ", ".join(str(getattr(r, "path", None) or r.name) for r in _several(recordings))
+        names = ", ".join(str(getattr(r, "path", None) or r.name) for r in several)
         raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give recordings that have one")
-    return truths
+    stations = {f.name: f.rig.stations for f in several if isinstance(f, RecordingFolder)}
+    return scored_rows(table, truths, stations, every)
 
 
 def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
@@ -184,7 +138,7 @@ def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
 
 
 def _refuse_other_places(estimated: Sequence[str], given: Sequence[str]) -> None:
-    """Raises UnusableInput for recordings of one name that are not those of the run in its order."""
+    """Raises UnusableInput for recordings of one name that differ from the run's, or from their order."""
     if len(set(estimated)) < len(estimated) and list(estimated) != list(given):
         name, count = Counter(estimated).most_common(1)[0]
         raise UnusableInput(
@@ -193,8 +147,8 @@ def _refuse_other_places(estimated: Sequence[str], given: Sequence[str]) -> None
         )
 
 
-def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
-    """The truth tables of the recordings that have one, by name."""
+def truths_of(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
+    """The truth tables of the recordings that have one, by name; raises UnusableInput for two folders of one name."""
     several = _several(recordings)
     refuse_same_names([recording.name for recording in several if isinstance(recording, RecordingFolder)])
     truths = {}
@@ -203,59 +157,12 @@ def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
             if "truth" in recording.tables:
                 truths[name] = recording.tables["truth"]
         elif "position" in recording.truth:
-            truths[name] = _true_positions(recording)
+            values, known = recording.truth["position"]
+            axes = {f"{a}_m": x for a, x in zip("xyz", np.asarray(values, float)[known].T, strict=False)}
+            truths[name] = pl.DataFrame({"t_s": recording.times[known], "tag": [""] * int(known.sum()), **axes})
     return truths
-
-
-def _true_paths(recordings: Sequence[Recording]) -> TruePaths:
-    """The true paths of recordings in arrays, each of one trajectory, which its name identifies."""
-    numbered, true = numbered_names([r.name for r in recordings]), [r for r in recordings if "position" in r.truth]
-    names = [name for name, r in zip(numbered, recordings, strict=True) if "position" in r.truth]
-    values, known = zip(*(r.truth["position"] for r in true), strict=True)
-    times, known, lengths = np.concatenate([r.times for r in true]), np.concatenate(known), [len(r) for r in true]
-    dimensions = np.array([x.shape[1] for x in values])
-    if (dimensions == 3).all():
-        positions = np.concatenate(values)
-    else:
-        positions = np.full((len(times), 3), np.nan)
-        for d in set(dimensions.tolist()):
-            positions[np.repeat(dimensions == d, lengths), :d] = np.concatenate([x for x in values if x.shape[1] == d])
-    starts = np.append(0, np.cumsum(lengths))
-    # Of known rows of one time the first counts, as in a table.
-    kept = np.flatnonzero(known)
-    first = np.searchsorted(kept, starts[:-1])
-    later = np.diff(times[kept], prepend=-np.inf) > 0
-    later[first[first < len(kept)]] = True
-    if len(kept) < len(times) or not later.all():
-        kept = kept[later]
-        starts, times, positions = np.searchsorted(kept, starts), times[kept], positions[kept]
-        # A truth that is known in no row is no path.
-        names = [name for name, some in zip(names, np.diff(starts) > 0, strict=True) if some]
-    return TruePaths(names, np.unique(starts), times, positions)
-
-
-def _true_positions(recording: Recording) -> pl.DataFrame:
-    """The truth of an array recording as a truth table."""
-    values, known = recording.truth["position"]
-    axes = {f"{a}_m": x for a, x in zip("xyz", np.asarray(values, float)[known].T, strict=False)}
-    none = {f"{a}_m": np.full(int(np.sum(known)), np.nan) for a in "xyz"}
-    return pl.DataFrame({"t_s": recording.times[known], "tag": [""] * int(np.sum(known))} | none | axes)
-
-
-def evaluate_association(
-    association: Association,
-    stations: Mapping[str, Mapping[str, Station]] | None = None,
-    every: float | None = None,
-    ratios: Mapping[str, tuple[float, float]] | None = None,
-) -> Evaluation:
-    """As `evaluate`, of estimates already associated with truth; metrics are None if no row is scored.
-
-    `stations`: by recording, its stations by id, required for bearings. `ratios`: by recording, those of
-    `residual_ratios`.
-    """
-    return TrackScores.of(association, stations, every).evaluation(ratios)
 
 
 def metric_names(tracks: pl.DataFrame) -> list[str]:
     """The names of the metrics that such estimates, the columns of tracks.parquet, have overall."""
-    return list(evaluate_association(associate_truth(tracks.head(1), {})).overall)
+    return list(Evaluation.of(scored_rows(tracks.head(1), {})).overall)

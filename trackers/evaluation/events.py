@@ -67,18 +67,12 @@ def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[flo
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if trajectory.folder.rig.path_knots is None or known.is_empty():
         return []
-    from trackwright.trackers.line.leaving import excursions
     from trackwright.trackers.line.rows import path_of
 
-    path = path_of(trajectory.folder)
     times, positions = float_column(known, "t_s"), np.stack([float_column(known, f"{a}_m") for a in "xy"], axis=1)
     sigma = np.nan_to_num(np.hypot(float_column(known, "std_x_m"), float_column(known, "std_y_m")))
-    rows: list[tuple[float, str, str]] = []
-    for start, end, farthest in excursions(times, path.nearest(positions)[1], TOLERANCE + 2 * sigma, CERTAIN):
-        rows.append((float(times[start]), "off the prescribed path", f"up to {farthest:.2f} m from it"))
-        if end < len(times):
-            rows.append((float(times[end]), "back on the path", f"after {times[end] - times[start]:.1f} s"))
-    return rows
+    away, names = path_of(trajectory.folder).nearest(positions)[1], ("off the prescribed path", "back on the path")
+    return _departures(times, away, TOLERANCE + 2 * sigma, CERTAIN, names, "from it")
 
 
 def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:
@@ -87,23 +81,32 @@ def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[fl
     The free estimate is a Kalman filter on fixes, or the multilateration of recent ranges. `tracks`: the constrained
     estimates of this tag.
     """
-    from trackwright.trackers.line.leaving import excursions
-
     times, free = _free_positions(trajectory)
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if known.is_empty():
         return []
-    constrained = np.stack(
-        [np.interp(times, known["t_s"].to_numpy(), float_column(known, f"{a}_m")) for a in "xy"], axis=1
-    )
-    deviation = np.sqrt(((free - constrained) ** 2).sum(axis=1))
+    at = known["t_s"].to_numpy()
+    constrained = np.stack([np.interp(times, at, float_column(known, f"{a}_m")) for a in "xy"], axis=1)
+    deviation, names = np.linalg.norm(free - constrained, axis=1), ("left the line", "back on the line")
+    return _departures(times, deviation, LEFT_SLACK, LEFT_LIMIT, names, "between free and constrained estimate")
+
+
+def _departures(
+    times: np.ndarray,
+    deviation: np.ndarray,
+    slack: np.ndarray | float,
+    limit: float,
+    names: tuple[str, str],
+    where: str,
+) -> list[tuple[float, str, str]]:
+    """Events of `excursions`: both their `names`, and `where` the deviation, m, is."""
+    from trackwright.trackers.line.leaving import excursions
+
     rows: list[tuple[float, str, str]] = []
-    for start, end, farthest in excursions(times, deviation, LEFT_SLACK, LEFT_LIMIT):
-        rows.append(
-            (float(times[start]), "left the line", f"up to {farthest:.2f} m between free and constrained estimate")
-        )
+    for start, end, farthest in excursions(times, deviation, slack, limit):
+        rows.append((float(times[start]), names[0], f"up to {farthest:.2f} m {where}"))
         if end < len(times):
-            rows.append((float(times[end]), "back on the line", f"after {times[end] - times[start]:.1f} s"))
+            rows.append((float(times[end]), names[1], f"after {times[end] - times[start]:.1f} s"))
     return rows
 
 

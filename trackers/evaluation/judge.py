@@ -7,23 +7,22 @@ autocorrelation of the errors (Bartlett 1946; window of Sokal 1997), so that n r
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
+import polars as pl
 from jaxtyping import Float
 
 LEAST_SAMPLES = 8.0
 """Effective samples below which a recording is too short for a verdict."""
 
 UNCERTAIN = 3.0
-"""The band is that of n²/(n + 3) samples: n itself is estimated, which matters below some 20 samples."""
+"""The band belongs to n²/(n + 3) samples: n itself is estimated, which matters below some 20 samples."""
 
 WINDOW = 3.0
 """Lags up to which the autocorrelation is summed, in correlation times of the sum so far."""
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 TANGENTS = np.tan(np.pi / 4 * (1 + NODES))
-CHUNK = 4_000
+CHUNK = 2_000
 
 
 def correlation_times(values: Float[np.ndarray, "n d"], starts: np.ndarray, power: int = 2) -> np.ndarray:
@@ -47,19 +46,18 @@ def correlation_times(values: Float[np.ndarray, "n d"], starts: np.ndarray, powe
     return times
 
 
-def band(samples: np.ndarray, dof: np.ndarray | int, z: float) -> np.ndarray:
-    """The limit (g,) of NEES per degree of freedom of a perfect filter with so many effective samples (g,).
+def band(samples: pl.Expr, dof: pl.Expr | int, z: float) -> pl.Expr:
+    """The limit of NEES per degree of freedom of a perfect filter with so many effective samples.
 
-    That which chi-square exceeds as a normal variable exceeds `z` standard deviations (Wilson and Hilferty 1931).
+    Chi-square exceeds it as a normal variable exceeds `z` standard deviations (Wilson and Hilferty 1931).
     """
     part = 2 / 9 / (dof * samples**2 / (samples + UNCERTAIN))
-    limit: np.ndarray = np.maximum(1 - part + z * np.sqrt(part), 0.0) ** 3
-    return limit
+    return (1 - part + z * part.sqrt()).clip(lower_bound=0) ** 3
 
 
-def regret(ratio: np.ndarray) -> np.ndarray:
-    """Nats per position lost by the scale of covariances alone: r − 1 − ln r, r = NEES/dof; NaN of errors of zero."""
-    return ratio - 1 - np.log(np.where(ratio > 0, ratio, math.nan))
+def regret(ratio: pl.Expr) -> pl.Expr:
+    """Nats per position lost by the scale of covariances alone: r − 1 − ln r, r = NEES/dof; null of errors of zero."""
+    return pl.when(ratio > 0).then(ratio - 1 - ratio.log())
 
 
 def energy_scores(errors: Float[np.ndarray, "n d"], covs: Float[np.ndarray, "n d d"]) -> Float[np.ndarray, " n"]:
@@ -75,21 +73,26 @@ def energy_scores(errors: Float[np.ndarray, "n d"], covs: Float[np.ndarray, "n d
         last = (moved * moved).sum(axis=1) - trace * along + minors * square
         size = np.stack([square, trace * square - along, last])
         doubled = volume * np.array([[2.0], [4.0], [8.0]])
-        scores[a : a + CHUNK] = _mean_norm(size, volume) - 0.5 * _mean_norm(0 * size, doubled)
+        scores[a : a + CHUNK] = _mean_norm(volume, size) - 0.5 * _mean_norm(doubled)
     return scores
 
 
-def _mean_norm(size: Float[np.ndarray, "3 n"], volume: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, " n"]:
+def _mean_norm(
+    volume: Float[np.ndarray, "3 n"], size: Float[np.ndarray, "3 n"] | None = None
+) -> Float[np.ndarray, " n"]:
     """The mean length (n,) of normal vectors, m, by the coefficients of the polynomials of `energy_scores`.
 
     E√Q = π^(−½) ∫ (1 − E exp(−t²Q))/t² dt over t > 0, with t = tan θ over the root of EQ, by Gauss and Legendre.
+    `size`: None for vectors of mean zero.
     """
-    scale = np.sqrt(size[0] + volume[0])[:, None]
+    scale = np.sqrt(volume[0] if size is None else size[0] + volume[0])[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):  # of vectors of length zero
         s = 2 * (TANGENTS / scale) ** 2
-        (a, b, c), (p, q, r) = size[..., None], volume[..., None]
+        p, q, r = volume[..., None]
         spread = 1 + s * (p + s * (q + s * r))
-        integral = (1 - np.exp(-0.5 * s * (a + s * (b + s * c)) / spread) / np.sqrt(spread)) @ (
-            WEIGHTS * (1 + 1 / TANGENTS**2)
-        )
+        kept = 1 / np.sqrt(spread)
+        if size is not None:
+            a, b, c = size[..., None]
+            kept *= np.exp(-0.5 * s * (a + s * (b + s * c)) / spread)
+        integral = (1 - kept) @ (WEIGHTS * (1 + 1 / TANGENTS**2))
     return np.where(scale[:, 0] > 0, scale[:, 0] * integral * np.sqrt(np.pi) / 4, 0.0)

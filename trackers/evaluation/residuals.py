@@ -6,36 +6,32 @@ long as the tag stays there, and covariances are too small.
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping
 from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
 from trackwright.trackers.core.data.recording import Columns
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.state import wrap
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.recordings.columns import run_starts
 from trackwright.trackers.recordings.tracks import Tracks, from_origins
 from trackwright.trackers.recordings.trajectories import Trajectories
 
 BLOCK_S = 5.0
 """Time, s, over which residuals are averaged."""
 
+_COLUMNS = ["residual", "source", "block", "trajectory"]
+
 LEAST_ROWS, LEAST_BLOCKS = 3, 8
 """Fewest residuals of a mean, and fewest means of a ratio."""
 
-MOST_ROWS = 100_000
-"""Residuals of a recording that are looked at, whole trajectories."""
-
 
 def residual_ratios(tracks: Tracks) -> dict[str, tuple[float, float]]:
-    """Of each recording with enough readings, the size of 5 s means of residuals relative to that of most residuals.
+    """Of each recording with enough readings, the size of 5 s means of residuals relative to most residuals.
 
     The root mean square over the means of each station or anchor, of residuals about their median, divided by the
     robust standard deviation (median absolute deviation) of all residuals. At most about 1 for normal residuals,
@@ -45,69 +41,59 @@ def residual_ratios(tracks: Tracks) -> dict[str, tuple[float, float]]:
     if "x_m" not in tracks.table.columns:
         return {}
     table = from_origins(tracks.table, tracks.batches)
-    estimates = table.select("recording", "tag", "t_s", "x_m", "y_m", "z_m").drop_nulls(["x_m", "y_m"])
-    starts = run_starts(estimates, ["recording", "tag"])
-    keys = estimates.select("recording", "tag")[starts[:-1]].rows()
-    estimated = dict(zip(keys, map(slice, starts[:-1], starts[1:]), strict=True))
-    residuals: dict[str, dict[str, list[np.ndarray]]] = defaultdict(lambda: defaultdict(list))
-    rows: Counter[str] = Counter()
-    for batch in tracks.batches:
+    estimates = table.drop_nulls(["x_m", "y_m"]).partition_by("recording", "tag", as_dict=True)
+    parts = []
+    for number, batch in enumerate(tracks.batches):
         tracker = batch.tracker
         # Smoothers and levels of noise run a tracker that they hold.
         while hasattr(tracker, "tracker"):
             tracker = tracker.tracker
         sensors = tracker.sensors if isinstance(tracker, Tracker) else {}
         sensors = {name: sensor for name, sensor in sensors.items() if sensor.view_fields == ("position",)}
-        trajectories = Trajectories.of(batch.trajectories)
+        trajectories, axes = Trajectories.of(batch.trajectories), ("x_m", "y_m", "z_m")[: 2 if batch.planar else 3]
         keys = [(folder.name, tag) for folder, tag in zip(trajectories.folders, trajectories.tags, strict=True)]
-        chosen, before = [], []
-        for k, length in enumerate(np.diff(trajectories.columns.starts).tolist()):
-            recording = keys[k][0]
-            if sensors and keys[k] in estimated and rows[recording] <= MOST_ROWS:
-                chosen.append(k)
-                # The rows so far tell trajectories apart.
-                before.append(rows[recording])
-                rows[recording] += length
-        if not chosen:
+        known = [k for k, key in enumerate(keys) if key in estimates] if sensors else []
+        if not known:
             continue
-        columns, names = trajectories.columns.chosen(np.array(chosen)), [keys[k][0] for k in chosen]
-        parts, axes = [estimated[keys[k]] for k in chosen], "xy" if batch.planar else "xyz"
-        first = [k for k, name in enumerate(names) if k == 0 or name != names[k - 1]]
-        position = _interpolated(estimates, parts, columns, axes)
-        for channel, values, seen in residuals_of(sensors, columns, position, np.array(before)):
-            for a, b in pairwise([*first, len(names)]):
-                part = slice(*columns.starts[[a, b]])
-                residuals[names[a]][channel].append(values[part][seen[part]])
-    ratios = {
-        name: [r for values in channels.values() if (r := _ratio(np.concatenate(values))) is not None]
-        for name, channels in residuals.items()
-    }
-    return {name: (max(r for r, _ in each), max(part for _, part in each)) for name, each in ratios.items() if each}
+        columns, places = trajectories.columns.chosen(np.array(known)), []
+        for k, times in zip(known, np.split(columns.times, columns.starts[1:-1]), strict=True):
+            own = estimates[keys[k]]
+            places.append([np.interp(times, own["t_s"].to_numpy(), own[axis].to_numpy()) for axis in axes])
+        names = pl.Series([keys[k][0] for k in known])
+        for channel, rows in residuals_of(sensors, columns, Vector(*np.concatenate(places, axis=1))):
+            recording = names.gather(rows["trajectory"])
+            parts.append(rows.with_columns(recording=recording, channel=pl.lit(channel), batch=pl.lit(number)))
+    return _ratios(pl.concat(parts)) if parts else {}
 
 
-def _interpolated(estimates: pl.DataFrame, parts: Sequence[slice], columns: Columns, axes: str) -> Vector:
-    """The positions at the times of all rows (N,) of trajectories, whose estimates are these parts of the table."""
-    at, *known = (estimates[name].to_numpy() for name in ("t_s", *(f"{axis}_m" for axis in axes)))
-    position = np.empty((len(axes), len(columns.times)))
-    for part, (a, b) in zip(parts, pairwise(columns.starts.tolist()), strict=True):
-        for values, x in zip(position, known, strict=True):
-            values[a:b] = np.interp(columns.times[a:b], at[part], x[part])
-    return Vector(*position)
+def _ratios(residuals: pl.DataFrame) -> dict[str, tuple[float, float]]:
+    """The ratio and the part of each recording, the largest of its channels with enough means."""
+    of, about, square = ["recording", "channel"], pl.col("about"), pl.col("residual") ** 2
+    rows = residuals.with_columns(about=pl.col("residual") - pl.col("residual").median().over(of))
+    channels = rows.group_by(of).agg(scatter=1.4826 * about.abs().median(), square=square.mean(), n=pl.len())
+    blocks = rows.group_by(*of, "source", "block", "batch", "trajectory").agg(
+        about=about.mean(), within=about.var(ddof=0) * pl.len(), rows=pl.len()
+    )
+    long = about.filter(pl.col("rows") >= LEAST_ROWS)
+    means = blocks.group_by(of).agg(
+        size=(long**2).mean().sqrt(), means=long.len(), within=pl.col("within").sum(), blocks=pl.len()
+    )
+    # Analysis of variance: the scatter within blocks against the mean square.
+    within = pl.col("within") / (pl.col("n") - pl.col("blocks")).cast(pl.Int64).clip(lower_bound=1)
+    found = channels.join(means, of).filter(pl.col("means") >= LEAST_BLOCKS, pl.col("scatter") > 0)
+    found = found.group_by("recording").agg(
+        (pl.col("size") / pl.col("scatter")).max(), (1 - within / pl.col("square")).max().clip(lower_bound=0)
+    )
+    return {name: (ratio, part) for name, ratio, part in found.iter_rows()}
 
 
 def residuals_of(
-    sensors: Mapping[str, AbstractSensor],
-    columns: Columns,
-    position: Vector,
-    before: Int[np.ndarray, " n"] | None = None,
-) -> Iterator[tuple[str, Float[np.ndarray, "N 4"], Bool[np.ndarray, " N"]]]:
-    """Residuals of each channel about the positions, with the numbers of their source, block and trajectory (`before`).
-
-    And the mask of the rows that have one.
-    """
+    sensors: Mapping[str, AbstractSensor], columns: Columns, position: Vector
+) -> Iterator[tuple[str, pl.DataFrame]]:
+    """The residuals of each channel about the positions (N,), with their source, block of time and trajectory."""
     inputs = {key: np.moveaxis(x, 0, -1) for key, x in columns.inputs.items()}
     block = (columns.times - columns.of_each(columns.times[columns.starts[:-1]])) // BLOCK_S
-    of = np.arange(len(columns.starts) - 1) if before is None else before
+    number = columns.of_each(np.arange(len(columns)))
     for name, sensor in sensors.items():
         reading, predicted = columns.readings[name], sensor.measure(SimpleNamespace(position=position), inputs)
         given = {x.name: inputs[x.name] for x in sensor.inputs if x.name in inputs}
@@ -119,8 +105,8 @@ def residuals_of(
                 # Where a lever arm points is not known from the position.
                 seen = seen & (given["levers"][3 * k : 3 * k + 3] == 0.0).all(axis=0)
             for sign, source in _sources(given, k, len(block)):
-                values = np.stack([sign * residual, source, block, columns.of_each(of)], axis=1)
-                yield f"{name}.{channel.name}", values, seen
+                values = sign * residual.astype(float), source, block, number
+                yield f"{name}.{channel.name}", pl.DataFrame([x[seen] for x in values], _COLUMNS)
 
 
 def _sources(given: Mapping[str, np.ndarray], k: int, rows: int) -> list[tuple[int, Int[np.ndarray, " N"]]]:
@@ -133,22 +119,3 @@ def _sources(given: Mapping[str, np.ndarray], k: int, rows: int) -> list[tuple[i
         return [(1, first), (-1, second)]
     numbers = next((given[name] for name in ("station", "anchor") if name in given), np.zeros(rows))
     return [(1, (numbers[k] if numbers.ndim > 1 else numbers).astype(int))]
-
-
-def _ratio(residuals: Float[np.ndarray, "n 4"]) -> tuple[float, float] | None:
-    """The ratio and the part of one channel; None of too few blocks."""
-    if not len(residuals):
-        return None
-    about = residuals[:, 0] - np.median(residuals[:, 0])
-    # One number for each block, in the order of source, block and trajectory.
-    source, block, trajectory = residuals[:, 1:].T.astype(int)
-    number = (source * (block.max() + 1) + block) * (trajectory.max() + 1) + trajectory
-    _, block, count = np.unique(number, return_inverse=True, return_counts=True)
-    means = (np.bincount(block, about) / count)[count >= LEAST_ROWS]
-    scatter = 1.4826 * float(np.median(np.abs(about)))
-    if len(means) < LEAST_BLOCKS or scatter == 0.0:
-        return None
-    # Analysis of variance: the scatter within blocks against the mean square.
-    within = about - (np.bincount(block, about) / count)[block]
-    part = 1 - np.sum(within**2) / max(len(about) - len(count), 1) / np.mean(residuals[:, 0] ** 2)
-    return float(np.sqrt(np.mean(means**2)) / scatter), max(float(part), 0.0)

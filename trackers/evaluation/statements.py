@@ -78,9 +78,10 @@ def _gaps(metrics: Mapping[str, Any], suffix: str) -> list[str]:
 
 def _covariance(metrics: Mapping[str, Any], name: str) -> list[str]:
     """The sentence on the standard deviations relative to the errors, with the figures that show it."""
-    found, figures = verdict(metrics, name), _figures(metrics, name)
+    found = verdict(metrics, name)
     if found is None:
         return []
+    figures = _figures(metrics, name)
     if found in (SMALL, LARGE):
         return [f"Reported standard deviations are {_factor(metrics, name)} {found}: {figures}."]
     if found == SHORT:

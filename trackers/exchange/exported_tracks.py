@@ -13,7 +13,7 @@ import polars as pl
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.scoring import covariances
+from trackwright.trackers.evaluation.rows import covariances
 from trackwright.trackers.exchange.ros_reader import rosbags_module
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, quaternions_of, trajectory_of_table, usable_rows
 from trackwright.trackers.recordings.atomic import beside

@@ -15,7 +15,7 @@ from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.scoring import covariances
+from trackwright.trackers.evaluation.rows import covariances
 from trackwright.trackers.exchange.formats import FORMATS, beginning_of
 from trackwright.trackers.exchange.mapping import Asked, Source, refuse_lost_digits
 from trackwright.trackers.exchange.source_rows import Reading, read_rows

@@ -27,10 +27,9 @@ from trackwright.experiments.lab.validation.sites import paths
 from trackwright.experiments.text.tables import markdown, replace_tables
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.catalogue import build, fitting
-from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.comparison import errors_by_track, paired_differences
-from trackwright.trackers.evaluation.evaluate import evaluate_association
-from trackwright.trackers.evaluation.scoring import score
+from trackwright.trackers.evaluation.comparison import paired_differences
+from trackwright.trackers.evaluation.evaluate import Evaluation
+from trackwright.trackers.evaluation.rows import scored_rows
 
 PEERS, PAGE = Path(__file__).with_name("peers"), Path("docs/side-by-side.md")
 OURS, SMOOTHED, OPTIMUM = "trackwright", "trackwright-smoothed", "optimum"
@@ -78,14 +77,13 @@ def _table(recording: str, tag: str, p: Any, positions: np.ndarray, P: np.ndarra
 
 
 def scored(table: pl.DataFrame, folder: Any) -> tuple[dict[str, Any], Any]:
-    """RMSE and 95th percentile, m or rad, share inside 95 %, NEES/dof, rows with an estimate; errors by track."""
-    stations, truth = {folder.name: folder.rig.stations}, {folder.name: folder.tables["truth"]}
-    association = associate_truth(table, truth)
-    found = evaluate_association(association, stations).overall
+    """RMSE and 95th percentile, m or rad, share inside 95 %, NEES/dof, rows with an estimate; the scored rows."""
+    rows = scored_rows(table, {folder.name: folder.tables["truth"]}, {folder.name: folder.rig.stations})
+    found = Evaluation.of(rows).overall
     error = "rmse_m" if found.get("rmse_m") is not None else "rmse_direction_rad"
     figures = {"rmse": found[error], "p95": found.get(error.replace("rmse", "p95")), "inside": found["coverage_95"],
                "nees": found["nees_ratio"], "estimated": found["n"] / found["n_rows"]}  # fmt: skip
-    return figures, errors_by_track(association, score(association, stations))
+    return figures, rows
 
 
 @cache
@@ -126,7 +124,7 @@ def beside(name: str, recording: str) -> Figures:
         levels = float(row["acceleration"]), float(row["reading"])
     figures, errors = next(peer("numpy-ekf" if name == OPTIMUM else name, recording, [levels], data.MOST_READINGS))
     mine = ours(SMOOTHED if name in LATER else OURS, recording)[1]
-    paired = paired_differences(mine, errors, ["rmse_m"]).get("rmse_m")
+    paired = next(iter(paired_differences(mine, errors, ["rmse_m", "rmse_direction_rad"]).values()), None)
     return {**figures, "low": paired and paired.low, "high": paired and paired.high}
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
+import polars as pl
 from matplotlib.axes import Axes
 
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
@@ -15,6 +16,8 @@ from trackwright.experiments.pages.reports.comparison import Contrast
 from trackwright.experiments.pages.reports.runs import StudyRun, TrackRun
 from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
 from trackwright.experiments.text.wording import SHOWN, Unit, heading, length_unit, unit_of
+from trackwright.trackers.evaluation.comparison import main_size
+from trackwright.trackers.evaluation.metrics import metrics, sums
 
 MOST_PLANS = 3
 """Recordings with floor plans: of more the worst, the median and the best by the RMSE of the first run."""
@@ -28,7 +31,7 @@ MOST_POINTS = 2000
 
 def comparison_charts(runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: Sequence[Contrast]) -> list[Chart]:
     """The charts of the page, which are files beside it, too."""
-    tracks = [run for run in runs if isinstance(run, TrackRun) and run.errors]
+    tracks = [run for run in runs if isinstance(run, TrackRun) and run.rows is not None]
     if not tracks:
         wanted = bool(contrasts) and isinstance(runs[0], StudyRun)
         return [Chart("differences", "Differences", partial(_draw_intervals, contrasts=contrasts))] if wanted else []
@@ -50,7 +53,8 @@ def comparison_charts(runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: 
 
 def all_errors(run: TrackRun) -> np.ndarray:
     """The sorted horizontal errors, m, of all tracks, or the angles, rad, of bearings."""
-    return np.sort(np.concatenate([track.error for track in run.errors.values()]))
+    assert run.rows is not None
+    return np.sort(run.rows[main_size(run.rows)].drop_nulls().to_numpy())
 
 
 def _scale(runs: Sequence[TrackRun]) -> tuple[float, Unit]:
@@ -100,19 +104,21 @@ def _draw_violins(axes: Axes, runs: Sequence[TrackRun], furthest: float, unit: U
 
 def _planned(runs: Sequence[TrackRun]) -> dict[str, str]:
     """The recordings of all runs with floor plans, and why these."""
-    recordings = [dict.fromkeys(key[0] for key in run.errors) for run in runs]
-    names = [name for name in recordings[0] if all(name in of_run for of_run in recordings)] if runs else []
-    if not names:
+    if not runs:
         return {}
-    errors = [np.concatenate([e.error for key, e in runs[0].errors.items() if key[0] == name]) for name in names]
-    chosen = drawn_of(np.array([np.sqrt(np.mean(e**2)) for e in errors]), False, MOST_PLANS)
+    rows = [run.rows.filter(pl.col("why").is_null()) for run in runs if run.rows is not None]
+    first, *others = (sums(of_run, "recording", of=["rmse_m"]) for of_run in rows)
+    for other in others:
+        first = first.join(other, "recording", "semi", maintain_order="left")
+    names = first["recording"].to_list()
+    chosen = drawn_of(metrics(first)["rmse_m"].to_numpy(), False, MOST_PLANS) if names else {}
     return {names[k]: f"{why} by {runs[0].name}" if why else "" for k, why in chosen.items()}
 
 
 def _draw_plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str) -> None:
     """Estimates in the run's colour over the truth, with anchors, stations and their names."""
-    assert run.association is not None
-    (scored,) = ScoredTracks(run.association.of_recording(name), [run.recordings[name]], ()).recordings
+    assert run.rows is not None
+    (scored,) = ScoredTracks(run.rows, [run.recordings[name]], ()).recordings
     shown = range(len(scored.rmse))[:MOST_TAGS]
     paths = [path for k in shown for path in track_paths([scored], k, [("" if k else "estimates", colour, "_")], 0)]
     # Around the truth: the runs share their axes, and the worst of them shall not set these.

@@ -11,6 +11,7 @@ import numpy as np
 from trackwright.experiments.pages.charts import recording as charts
 from trackwright.experiments.pages.charts.style import Chart, Draw, plotly_chart, write_charts
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, drawn_of
+from trackwright.trackers.recordings.columns import float_column
 
 WIDE, PLAN = (8.0, 2.6), (8.5, None)
 """Sizes of charts over time and of floor plans, as `Chart` has them."""
@@ -18,7 +19,7 @@ WIDE, PLAN = (8.0, 2.6), (8.5, None)
 
 def page_charts(scored: ScoredRecording) -> list[dict[str, Any]]:
     """The charts of the page of a recording as traces and layouts of plotly.js, with their titles."""
-    shown = {"Distribution of errors": charts.error_cdf} if scored.association.scored.any() else {}
+    shown = {"Distribution of errors": charts.error_cdf} if scored.scored.any() else {}
     shown |= {"Truth inside the reported ellipses": charts.coverage} if _covered(scored) else {}
     return [{"title": title, **plotly_chart(_on_axes(chart, scored))} for title, chart in shown.items()]
 
@@ -26,7 +27,7 @@ def page_charts(scored: ScoredRecording) -> list[dict[str, Any]]:
 def charts_of_positions(scored: ScoredRecording) -> Iterator[Chart]:
     """The charts of a recording in files."""
     yield Chart("floor-plan", "", _on_axes(charts.floor_plan, scored), *PLAN)
-    if not scored.association.scored.any():
+    if not scored.scored.any():
         return
     yield Chart("error-cdf", "Distribution of errors", _on_axes(charts.error_cdf, scored), 6.4, 3.4)
     errors = scored.errors[scored.rows_of(scored.worst_first()[0])]
@@ -52,7 +53,7 @@ def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]
             title = ", ".join(filter(None, (chart.title, name, why)))
             figures.append(chart._replace(name=chart.name + suffix, title=title))
     covered = {scored.folder.name: scored for scored in tracks.recordings if _covered(scored)}
-    spatial = tracks.scored.nees_3d is not None and bool(np.isfinite(tracks.scored.nees_3d).any())
+    spatial = bool(np.isfinite(float_column(tracks.rows, "nees_3d")).any())
     for one in [False, *[True] * spatial] if covered else []:
         title = "Share of the truth inside the reported " + ("ellipsoids" if one else "ellipses")
         draw = _on_axes(charts.coverage, covered, spatial=one)
@@ -66,7 +67,7 @@ def _charts_of_bearings(tracks: ScoredTracks) -> Iterator[Chart]:
     pairs = [(scored, k) for scored in ordered for k in range(len(scored.rmse))]
     for place, why in drawn_of(np.concatenate([scored.rmse for scored in ordered]), True).items():
         scored, k = pairs[place]
-        key = scored.association.rows.select("tag", "station").row(scored.rows_of(k).start, named=True)
+        key = scored.first.select("tag", "station").row(k, named=True)
         label = f"{scored.folder.name}, tag {key['tag']}, station {key['station']}"
         for part in scored.components():
             draw = _on_axes(charts.bearing_over_time, scored, **key, angle=part.name)

@@ -15,7 +15,7 @@ from trackwright.experiments.pages.reports.pages import drawn_rows
 from trackwright.experiments.pages.scored_tracks import ScoredRecording
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.scoring import covariances
+from trackwright.trackers.evaluation.rows import covariances
 
 TRUTH = "#9aa5b0"
 """The colour of true paths, drawn below the tracks and wider: neither hides the other."""
@@ -122,7 +122,7 @@ def track_paths(
     """
     rows, paths = sides[0].rows_of(track), []
     places = [side.places[rows] for side in sides]
-    covs = [covariances(side.association.rows[rows])[:, :2, :2] for side in sides]
+    covs = [covariances(side.rows[rows])[:, :2, :2] for side in sides]
     some = _ellipse_rows(places, covs, ellipses)
     for side, (name, colour, named), place, cov in zip(sides, looks, places, covs, strict=True):
         there = np.isfinite(place).all(axis=1)
@@ -136,8 +136,8 @@ def track_paths(
 def true_path(scored: ScoredRecording, track: int) -> list[np.ndarray]:
     """The true path (n, 2), m, of a track, NaN in gaps: of the truth table, else at its rows; none without truth."""
     rows, paths = scored.rows_of(track), scored.folder.paths
-    tag, known = str(scored.association.rows["tag"][rows.start]), scored.association.scored[rows]
-    times, path = scored.times[rows][known], scored.association.truth[rows][known]
+    tag, known = str(scored.rows["tag"][rows.start]), scored.scored[rows]
+    times, path = scored.times[rows][known], scored.truth[rows][known]
     times, path = paths.of_tag(tag) if tag in paths.number else (times, path)
     return [broken_at_gaps(times, path[:, :2])[1]] if len(times) else []
 

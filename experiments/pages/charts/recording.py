@@ -66,8 +66,7 @@ def floor_plan(
     bearings, and for an unknown tag.
     """
     scored = _scored(estimates, recording, "floor_plan")
-    rig, tracks = scored.folder.rig, scored.association.rows["tag"].gather(scored.association.starts[:-1])
-    names = [str(tag) for tag in tracks]
+    rig, names = scored.folder.rig, [str(tag) for tag in scored.first["tag"]]
     order = sorted(range(len(names)), key=lambda k: natural(names[k]))
     chosen = drawn_of(scored.rmse[order], False, len(LINES))
     shown = dict.fromkeys(tags[: len(LINES)], "") or {names[order[k]]: why for k, why in chosen.items()}
@@ -131,7 +130,7 @@ def error_over_time(
         axes.plot(*broken_at_gaps(times, scored.miss[rows]), color=BLUE, label="error")
         axes.set(ylabel="horizontal error (m)", ylim=(0, None))
     legend_above(axes)
-    name = scored.association.rows["tag"][int(rows.start)]
+    name = scored.rows["tag"][int(rows.start)]
     rank = f", the largest RMSE of {len(scored.rmse)}" if tag is None and len(scored.rmse) > 1 else ""
     axes.set_title(literal(f"tag {name}{rank}" if name else ""), loc="right", fontsize=8, color=GREY)
     axes.set_xlabel(time_label(scored.zero))
@@ -241,7 +240,7 @@ def nees_over_time(estimates: Shown, recording: AnyRecording | None = None, ax: 
     Raises UnusableInput without truth.
     """
     scored = _scored(estimates, recording, "nees_over_time", truth=True)
-    return _consistency(_axes(ax), scored, scored.nees, np.full(len(scored.nees), 2.0), "NEES")
+    return _consistency(_axes(ax), scored, float_column(scored.rows, "nees"), np.full(len(scored.rows), 2.0), "NEES")
 
 
 def nis_over_time(estimates: Shown, recording: AnyRecording | None = None, ax: Axes | None = None) -> Axes:
@@ -252,7 +251,7 @@ def nis_over_time(estimates: Shown, recording: AnyRecording | None = None, ax: A
 
 def _nis(scored: ScoredRecording) -> tuple[np.ndarray, np.ndarray]:
     """The NIS (n,) of all rows and its degrees of freedom (n,)."""
-    return float_column(scored.association.rows, "nis"), float_column(scored.association.rows, "nis_dof")
+    return float_column(scored.rows, "nis"), float_column(scored.rows, "nis_dof")
 
 
 def _consistency(
@@ -379,7 +378,7 @@ def _scored(
         scored = scored_tracks(estimates, recording, truth).recordings[0]
     if scored.angles and not bearings:
         raise UnusableInput(f"{chart}: found bearings; expected estimates of positions")
-    if truth and not scored.association.scored.any():
+    if truth and not scored.scored.any():
         raise UnusableInput(f"{chart}: no estimate has a truth at its time")
     return scored
 
@@ -394,11 +393,10 @@ def _axes(ax: Axes | None) -> Axes:
 
 def _track(scored: ScoredRecording, tag: str | None, station: str | None, chart: str) -> int:
     """The number of the track of a tag, and of a station; of none that with the largest RMSE."""
-    rows, starts = scored.association.rows, scored.association.starts
     if tag is None and station is None:
         return scored.worst_first()[0]
-    tags = [str(name) for name in rows["tag"].gather(starts[:-1])]
-    stations = [str(name) for name in rows["station"].gather(starts[:-1])] if scored.angles else [station] * len(tags)
+    tags = [str(name) for name in scored.first["tag"]]
+    stations = [str(name) for name in scored.first["station"]] if scored.angles else [station] * len(tags)
     matches = [k for k in scored.worst_first() if tag in (None, tags[k]) and station in (None, stations[k])]
     if not matches:
         named = f"tag '{tag}'" + ("" if station is None else f" at station '{station}'")

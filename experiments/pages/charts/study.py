@@ -160,12 +160,12 @@ def _distributions(axes: Axes, results: Results, condition: Condition, kind: str
     """The distribution of the errors of each tracker with errors of this kind, up to 98 % of the largest."""
     curves, looks = [], []
     for number, tracker in enumerate(results.study.trackers):
-        if kind in results.totals[condition.index, tracker].scores.histograms:
+        if kind in results.totals[condition.index, tracker].histograms:
             edges, share = results.cdf(condition.world, tracker, kind, **condition.point)
             curves.append(Curve(tracker, edges * unit.factor, 100 * share))
             looks.append(_look(number))
     end = max(float(curve.errors[np.searchsorted(curve.shares, 98.0)]) for curve in curves)
-    quantity = f"{f'error {ERROR_KINDS[kind].words}'.strip()}, {unit.name}"
+    quantity = f"{f'error {ERROR_KINDS[kind]}'.strip()}, {unit.name}"
     draw_distributions(axes, curves, quantity, end, looks=looks)
     axes.set_title(literal(title))
     _legend(axes)
@@ -205,7 +205,7 @@ def _height(names: int) -> float:
 
 def _kind(results: Results, condition: Condition) -> str:
     """The kind of error of the first metric that has one, else the first kind that exists."""
-    there = {k for t in results.study.trackers for k in results.totals[condition.index, t].scores.histograms}
+    there = {k for t in results.study.trackers for k in results.totals[condition.index, t].histograms}
     # The longer suffixes first: `3d_m` ends in `m` too.
     kinds = sorted(there, key=len, reverse=True)
     asked = (k for f in results.study.metrics for k in kinds if f.endswith(f"_{k}"))

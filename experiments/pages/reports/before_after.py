@@ -13,8 +13,8 @@ from trackwright.experiments.pages.reports.verdict import Verdict, cells, densit
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, drawn_of, root_mean_square
 from trackwright.experiments.text.tables import Section, sections_text
 from trackwright.experiments.text.wording import SHOWN, fixed, length_unit
-from trackwright.trackers.evaluation.association import Association, associate_truth
-from trackwright.trackers.evaluation.evaluate import evaluate_association
+from trackwright.trackers.evaluation.evaluate import Evaluation, truths_of
+from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.evaluation.statements import covariance_statements
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
@@ -59,27 +59,26 @@ class Compared(NamedTuple):
         return {"verdict": verdict.word, "judged_by": self.about, **whole, "recordings": recordings}
 
 
-def tracked(tracker: NamedTracker, folders: Sequence[RecordingFolder]) -> Association:
+def tracked(tracker: NamedTracker, folders: Sequence[RecordingFolder]) -> pl.DataFrame:
     """The estimates of the recordings, tracked as `track` does it, with their truth."""
     return with_truth(tracker.run(folders).table, folders)
 
 
-def with_truth(tracks: pl.DataFrame, folders: Sequence[RecordingFolder]) -> Association:
+def with_truth(tracks: pl.DataFrame, folders: Sequence[RecordingFolder]) -> pl.DataFrame:
     """Estimates of the recordings with their truth."""
-    return associate_truth(tracks, {f.name: f.tables["truth"] for f in folders if "truth" in f.tables})
+    return scored_rows(tracks, truths_of(folders), {folder.name: folder.rig.stations for folder in folders})
 
 
 def compare(
-    sides: Sequence[Association], folders: Sequence[RecordingFolder], dimensions: int, about: str, why_not: str = ""
+    sides: Sequence[pl.DataFrame], folders: Sequence[RecordingFolder], dimensions: int, about: str, why_not: str = ""
 ) -> Compared:
     """Errors of the recordings `folders` in the estimates before and after tuning, those of `tracked`.
 
     `dimensions`: 3 for errors and ellipsoids in space, 2 for those over the floor. `about`: in words, the recordings.
     `why_not`: why there is no verdict. A recording without truth has no figures but those of its innovations.
     """
-    names, stations = sorted(f.name for f in folders), {f.name: f.rig.stations for f in folders}
-    sides = [Association.joined([side.of_recording(name) for name in names]) for side in sides]
-    before, after = (evaluate_association(side, stations) for side in sides)
+    sides = [side.filter(pl.col("recording").is_in([folder.name for folder in folders])) for side in sides]
+    before, after = map(Evaluation.of, sides)
     suffix = "_3d" if dimensions == 3 and before.overall.get("coverage_95_3d") is not None else ""
     error = "rmse_direction_rad" if before.bearing else f"rmse{suffix}_m"
     pairs = list(zip(before.recordings, after.recordings, strict=True))
@@ -116,11 +115,8 @@ def _cells(old: Any, new: Any, columns: Any) -> Iterator[str]:
 
 def _means(metrics: Sequence[Any], columns: Any) -> dict[str, float | None]:
     """The mean over recordings, each with the same weight; None where one has no value."""
-    means: dict[str, float | None] = {}
-    for name, _, _ in columns:
-        values = [m[name] for m in metrics]
-        means[name] = None if None in values else sum(values) / len(values)
-    return means
+    values = {name: [m[name] for m in metrics] for name, _, _ in columns}
+    return {name: None if None in x else sum(x) / len(x) for name, x in values.items()}
 
 
 MOST_PLANS = 8
@@ -154,8 +150,7 @@ class TrackChange(NamedTuple):
     @property
     def name(self) -> str:
         """The recording, the tag and, of bearings, the station."""
-        rows = self.after.association.rows
-        first = rows.row(self.after.rows_of(self.track).start, named=True)
+        first = self.after.first.row(self.track, named=True)
         of_station = f", station {first['station']}" if self.after.angles else ""
         return f"{self.after.folder.name}, tag {first['tag']}{of_station}"
 
@@ -191,7 +186,7 @@ class TrackChanges(NamedTuple):
 
 
 def track_changes(
-    before: Association, after: Association, folders: Sequence[RecordingFolder], held_out: Collection[str]
+    before: pl.DataFrame, after: pl.DataFrame, folders: Sequence[RecordingFolder], held_out: Collection[str]
 ) -> TrackChanges:
     """The tracks of these recordings before and after; of bearings there are errors alone.
 

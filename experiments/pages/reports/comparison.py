@@ -37,7 +37,6 @@ SHOWN = (
 )  # fmt: skip
 """The metrics of studies that are shown where any is common; else all."""
 
-BEARING_NAMES = {"rmse_m": "rmse_direction_rad", "median_m": "median_direction_rad", "p95_m": "p95_direction_rad"}
 LEVEL = 0.05
 WIDTH = 150
 ALL = "all recordings"
@@ -65,11 +64,12 @@ def track_contrasts(runs: Sequence[TrackRun]) -> list[Contrast]:
     """The paired differences of every run from the first, over the tracks that both have."""
     contrasts = []
     for run in runs[1:]:
-        for metric, difference in paired_differences(runs[0].errors, run.errors).items():
+        if runs[0].rows is None or run.rows is None:
+            continue
+        for metric, difference in paired_differences(runs[0].rows, run.rows).items():
             given = "_3d" in metric and all(shown_metric(both.metrics[""], metric) is None for both in (runs[0], run))
             if math.isfinite(difference.value) and not given:
-                name = BEARING_NAMES.get(metric, metric) if run.bearing else metric
-                contrasts.append(Contrast("", name, run.name, difference, difference.p))
+                contrasts.append(Contrast("", metric, run.name, difference, difference.p))
     return adjusted(contrasts)
 
 

@@ -67,11 +67,11 @@ def page_residuals(recording: ScoredRecording, most: int) -> dict[str, Any]:
 
 def _estimated(recording: ScoredRecording, rows: TagRows) -> np.ndarray:
     """The estimated positions (N, 3), m, at the times of the readings, between rows of estimates; else NaN."""
-    table, starts = recording.association.rows, recording.association.starts
+    table, starts = recording.rows, recording.starts
     estimated = np.full((len(rows.times), 3), np.nan)
     if recording.angles:
         return estimated
-    of_tags = dict(zip(table["tag"].gather(starts[:-1]).to_list(), range(len(starts) - 1), strict=True))
+    of_tags = dict(zip(recording.first["tag"].to_list(), range(len(starts) - 1), strict=True))
     times, positions = recording.times, np.stack([float_column(table, f"{a}_m") for a in "xyz"], axis=1)
     for k, tag in enumerate(rows.tags):
         number = of_tags.get(tag)

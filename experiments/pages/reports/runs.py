@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import polars as pl
+
 from trackwright.experiments.monte_carlo.declaration import short
 from trackwright.experiments.text.expectations import Value
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.association import Association, associate_truth
-from trackwright.trackers.evaluation.comparison import Key, TrackErrors, errors_by_track
-from trackwright.trackers.evaluation.scoring import score
+from trackwright.trackers.evaluation.rows import is_scored, scored_rows
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, source_paths
@@ -38,8 +38,8 @@ class StudyRun:
 class TrackRun:
     """Tracks of recordings. `bearing`: of bearings. `metrics`: of evaluation.json, by recording; overall under "".
 
-    `recordings`: the tracked ones, by name. `association`: the estimates with their truth, None where neither the
-    recordings nor those of another run can be read. `errors`: by track.
+    `recordings`: the tracked ones, by name. `rows`: the `scored_rows`, None where no recording with truth
+    can be read.
     """
 
     name: str
@@ -47,8 +47,7 @@ class TrackRun:
     bearing: bool
     metrics: dict[str, dict[str, Any]]
     recordings: Mapping[str, RecordingFolder]
-    association: Association | None
-    errors: Mapping[Key, TrackErrors]
+    rows: pl.DataFrame | None
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[StudyRun] | list[TrackRun], list[str]]:
@@ -87,11 +86,11 @@ def _track_runs(names: Sequence[str], folders: Sequence[Path]) -> tuple[list[Tra
     truths = {name: recording.tables["truth"] for name, recording in by_name.items() if "truth" in recording.tables}
     stations, runs = {name: recording.rig.stations for name, recording in by_name.items()}, []
     for name, folder, (bearing, metrics) in zip(names, folders, contents, strict=True):
-        association, errors = None, dict[Key, TrackErrors]()
+        rows = None
         if truths and (folder / TRACKS).is_file():
-            association = associate_truth(read_tracks(folder), truths)
-            errors = errors_by_track(association, score(association, stations))
-        runs.append(TrackRun(name, folder, bearing, metrics, by_name, association, errors))
+            rows = scored_rows(read_tracks(folder), truths, stations)
+            rows = rows if is_scored(rows).any() else None
+        runs.append(TrackRun(name, folder, bearing, metrics, by_name, rows))
     return runs, notices
 
 

@@ -157,8 +157,7 @@ def recording_data(
     # matplotlib takes a third of a second to import, which a run without a page need not wait for.
     from trackwright.experiments.pages.charts.figures import page_charts
 
-    association = recording.association
-    starts, rows, times = association.starts, association.rows, recording.times
+    starts, rows, times = recording.starts, recording.rows, recording.times
     lengths = np.diff(starts)
     chosen = drawn_tracks(recording.worst_first(), most_tracks)
     kept_lengths = lengths[chosen]
@@ -170,8 +169,8 @@ def recording_data(
     zero = recording.zero
     places = [np.zeros(len(rows)) if recording.angles else float_column(rows, f"{axis}_m") for axis in "xy"]
     origin = _origin(np.stack(places, axis=1))
-    stations = rows["station"].gather(starts[:-1]).to_list() if recording.angles else [None] * len(lengths)
-    tags = rows["tag"].gather(starts[:-1]).to_list()
+    stations = recording.first["station"].to_list() if recording.angles else [None] * len(lengths)
+    tags = recording.first["tag"].to_list()
     source, sources = _sources(recording, index)
     scale = 180 / np.pi if recording.angles else 1.0
     components = recording.components()
@@ -220,7 +219,7 @@ def _packed_rows(
     recording: ScoredRecording, components: list[Component], index: np.ndarray, start: float, origin: np.ndarray
 ) -> dict[str, dict[str, str]]:
     """Times, values, errors, standard deviations, horizontal covariance, NIS and its degrees of freedom of the rows."""
-    rows = recording.association.rows[index]
+    rows = recording.rows[index]
     columns = {"t": float_column(rows, "t_s") - start}
     for k, component in enumerate(components):
         values, errors, sigmas = (values[index] for values in component[2:])
@@ -251,7 +250,7 @@ def _sources(recording: ScoredRecording, index: np.ndarray) -> tuple[np.ndarray,
 
     The two last names are for several sources at one time and for none.
     """
-    rows, folder = recording.association.rows[index], recording.folder
+    rows, folder = recording.rows[index], recording.folder
     if recording.angles:
         names = sorted(folder.rig.stations)
         return np.array([names.index(s) for s in rows["station"].to_list()], int), names
@@ -339,7 +338,7 @@ def error_map(recording: ScoredRecording, origin: np.ndarray) -> dict[str, Any] 
     if recording.angles:
         return None
     squares = (recording.errors[:, :2] ** 2).sum(axis=1)
-    true = recording.association.truth[:, :2] - origin
+    true = recording.truth[:, :2] - origin
     known = np.isfinite(squares) & np.isfinite(true).all(axis=1)
     if known.sum() < 2:
         return None

@@ -250,7 +250,7 @@ def _spread(result: FitResult, parameter: Parameter, runs: Sequence[tuple[Trajec
         columns = Trajectories.of([trajectory for trajectory, _ in runs]).columns
         place = Vector(*np.concatenate([np.array(run.mean.position, float) for _, run in runs], axis=1))
         of_channels = residuals_of({sensor: sensors[sensor]}, columns, place)
-        low, high = np.nanquantile(np.concatenate([x[seen, 0] for _, x, seen in of_channels]), (0.16, 0.84))
+        low, high = np.nanquantile(np.concatenate([rows["residual"] for _, rows in of_channels]), (0.16, 0.84))
         measured = f"; measured about the estimates: 68 % within ± {number((high - low) / 2)} {unit}"
     model = f"standard deviation {words}" if spread.is_deviation else f"68 % of the readings within ± {words}"
     return [f"by the model: {model}{measured}"]

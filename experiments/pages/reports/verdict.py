@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import polars as pl
 
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.association import Association
 from trackwright.trackers.evaluation.comparison import Difference, paired_means
-from trackwright.trackers.evaluation.scoring import score
+from trackwright.trackers.evaluation.rows import is_scored
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
@@ -78,19 +78,14 @@ def changed(change: Difference) -> str:
     return f"{change.first:.2f} → {change.second:.2f} nats, {change.value:+.2f} ({interval})"
 
 
-def judge(sides: Sequence[Association], folders: Sequence[RecordingFolder], dimensions: int) -> Verdict:
+def judge(sides: Sequence[pl.DataFrame], folders: Sequence[RecordingFolder], dimensions: int) -> Verdict:
     """The verdict on the estimates of left-out recordings before and after, of the same rows."""
-    stations = {folder.name: folder.rig.stations for folder in folders}
-    densities = []
-    for side in sides:
-        scored, full = score(side, stations), np.full(len(side.rows), np.nan)
-        full[scored.index] = scored.log_density(dimensions)
-        densities.append(full)
+    densities = [float_column(side, "density_3d" if dimensions == 3 else "density") for side in sides]
     known = np.isfinite(densities).all(axis=0)
     if not known.any():
         return Verdict(None, {}, {}, "no estimate has both a covariance and a truth")
     before, after = (x[known] for x in densities)
-    times, names = float_column(sides[0].rows, "t_s")[known], sides[0].rows["recording"].to_numpy()[known]
+    times, names = float_column(sides[0], "t_s")[known], sides[0]["recording"].to_numpy()[known]
     rows = {str(name): names == name for name in np.unique(names)}
     changes = {name: paired_means(*(x[of] for x in (times, before, after, names))) for name, of in rows.items()}
     whole, worse = paired_means(times, before, after, names), {}
@@ -101,13 +96,16 @@ def judge(sides: Sequence[Association], folders: Sequence[RecordingFolder], dime
     return Verdict(whole, changes, worse)
 
 
-def _why(folder: RecordingFolder, folders: Sequence[RecordingFolder], after: Association) -> str:
+def _why(folder: RecordingFolder, folders: Sequence[RecordingFolder], after: pl.DataFrame) -> str:
     """What is different in a recording, as far as its truth shows it."""
     others = [other for other in folders if other is not folder]
     reasons = [*(_beside(folder, others) if others else ())]
-    side, heights = after.of_recording(folder.name), [float(place[2]) for place in folder.rig.anchors.values()]
-    if heights and np.ptp(heights) <= FLAT_M and "z_m" in side.rows.columns:
-        estimated, true = float_column(side.rows, "z_m")[side.scored], side.truth[side.scored, 2]
+    side, heights = (
+        after.filter(pl.col("recording") == folder.name),
+        [float(place[2]) for place in folder.rig.anchors.values()],
+    )
+    if heights and np.ptp(heights) <= FLAT_M and "z_m" in side.columns:
+        estimated, true = (float_column(side, name)[is_scored(side)] for name in ("z_m", "true_z_m"))
         share = np.mean(np.abs(estimated + true - 2 * np.mean(heights)) < np.abs(estimated - true))
         if share > 0.5:
             reasons.insert(0, f"its height is mirrored in the anchors' plane in {100 * share:.0f} % of the rows")

@@ -11,16 +11,13 @@ import pytest
 
 from tests.experiments.cli.small_archive import recording
 from trackwright.experiments.cli.archive_folders import MANY, archive_of, recordings_under
+from trackwright.experiments.cli.archive_part import ERRORS, TRACKED, outcome_of
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import TrackScores, evaluate
-from trackwright.trackers.evaluation.metrics import MetricRows
-from trackwright.trackers.evaluation.scores import Scores
+from trackwright.trackers.evaluation.evaluate import evaluate, rows_of
+from trackwright.trackers.evaluation.metrics import added, metrics
 from trackwright.trackers.recordings.atomic import json_text
-
-PERCENTILES = ("median", "p90", "p95", "p99", "sigma_factor")
 
 
 def _touch(folder, *names):
@@ -57,12 +54,7 @@ def _bearings(folder, rng):
     return pl.concat(tables)
 
 
-def _scores(association, stations):
-    """What an archive keeps of the scores of a recording."""
-    return TrackScores.of(association, stations).recordings({})[1].condensed()
-
-
-@pytest.mark.parametrize(("bearing", "rows"), [(False, 400), (False, 800), (False, 4), (True, 200)])
+@pytest.mark.parametrize(("bearing", "rows"), [(False, 800), (False, 4), (True, 200)])
 def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
     if bearing:
         rng = np.random.default_rng(2)
@@ -71,15 +63,13 @@ def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
     else:
         folders = [recording(f"r{k}", k, rows=rows) for k in range(3)]
         tables = [build("fix-kf", folder).run(folder).table for folder in folders]
-    parts = []
+    kept, errors = [], []
     for folder, table in zip(folders, tables, strict=True):
-        association = associate_truth(table, {folder.name: folder.tables["truth"]})
-        parts.append(_scores(association, {folder.name: folder.rig.stations}))
-    kept = [Scores.from_plain(json.loads(json_text(part.plain()))) for part in parts]
-    (found,) = MetricRows(kept[0] + kept[1] + kept[2])
+        outcome = outcome_of(dict.fromkeys(("tracker", "short", "endings")), rows_of(table, folder), {}, {}, TRACKED)
+        kept.append(json.loads(json_text(outcome.summary))["sums"])
+        errors.append(outcome.tables[ERRORS[TRACKED]])
+    found = metrics(added(pl.DataFrame(kept, infer_schema_length=None), pl.concat(errors).lazy())).row(0, named=True)
     expected = evaluate(pl.concat(tables), folders).overall
     assert list(found) == list(expected)
     for name, value in expected.items():
-        # Three recordings of 800 rows have more than `EXACT` rows together, though none alone.
-        tolerance = 0.01 if rows == 800 and name.startswith(PERCENTILES) else 1e-12
-        assert found[name] == (value if value is None else pytest.approx(value, rel=tolerance, abs=1e-15)), name
+        assert found[name] == (value if value is None else pytest.approx(value, rel=1e-12, abs=1e-15)), name

@@ -161,7 +161,7 @@ def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch
             del one["residual_ratio_5s"], one["residual_part_5s"]
     assert again == tracked
     with monkeypatch.context() as patched:
-        patched.setattr(part, "TrackScores", None)
+        patched.setattr(part, "scored_rows", None)
         refused = trackwright("evaluate", out, "--fail-if", "rmse > 10")
     assert_refused(refused, "no metric 'rmse' (did you mean rmse_m?)")
     failed = trackwright("evaluate", out, "--fail-if", "rmse_m > 0.001")
@@ -169,8 +169,8 @@ def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch
     assert "fails: fix-kf: rmse_m > 0.001 (rmse_m is " in failed.err
     assert set(_results(out)["n"]) == {40}
     (paths[2] / "truth.parquet").unlink()
-    scored, associate = [], part.associate_truth
-    monkeypatch.setattr(part, "associate_truth", lambda *rest: scored.append(1) or associate(*rest))
+    scored, score = [], part.scored_rows
+    monkeypatch.setattr(part, "scored_rows", lambda *rest: scored.append(1) or score(*rest))
     done = trackwright("evaluate", out)
     assert done.code == 3
     assert "not evaluated: " in done.err

@@ -5,9 +5,10 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
+import polars as pl
 import pytest
 
-from trackwright.trackers.evaluation.comparison import LEAST_PIECES, TrackErrors, holm, paired_differences, paired_means
+from trackwright.trackers.evaluation.comparison import LEAST_PIECES, holm, paired_differences, paired_means
 
 STEP_S = 0.1
 
@@ -22,9 +23,11 @@ def _lasting(rng, rows, runs, tau=1.0):
 
 
 def _run(errors, recording="r"):
+    """Scored rows with these errors (rows, 2), whose reported covariance is that of unit variance."""
     size = np.linalg.norm(errors, axis=-1)
-    times, inside = STEP_S * np.arange(len(size)), (size < 2.4).astype(float)
-    return {(recording, "T"): TrackErrors(times, size, size * 1.2, inside, -0.5 * size**2, size)}
+    table = {"recording": recording, "tag": "T", "t_s": STEP_S * np.arange(len(size)), "x_m": size, "size_m": size}
+    table |= {"size_3d_m": 1.2 * size, "nees": size**2, "density": -0.5 * size**2, "energy": size}
+    return pl.DataFrame(table).with_columns(track=pl.lit(0), why=pl.lit(None, pl.String))
 
 
 def test_where_no_run_differs_some_difference_is_found_in_one_family_of_twenty():
@@ -59,17 +62,17 @@ def test_runs_are_compared_over_the_tracks_and_times_that_both_have():
     rng = np.random.default_rng(3)
     first, second = _lasting(rng, 900, 2)
     a, b = _run(first), _run(second[:450])
-    found = paired_differences(a | _run(first * 50, "other"), b, ("rmse_m",))["rmse_m"]
+    found = paired_differences(pl.concat([a, _run(first * 50, "other")]), b, ("rmse_m",))["rmse_m"]
     assert found.first == pytest.approx(np.sqrt(np.mean(np.sum(first[:450] ** 2, axis=-1))), rel=0.02)
     assert paired_differences(a, _run(second, "other")) == {}
 
 
 def test_differences_do_not_depend_on_when_the_clock_starts():
-    first, second = (_run(e)["r", "T"] for e in _lasting(np.random.default_rng(6), 900, 2))
+    first, second = (_run(e) for e in _lasting(np.random.default_rng(6), 900, 2))
     # Eighths of a second, which are exact at both times, so that all pieces are the same.
     times = np.arange(900) / 8
     early, late = (
-        paired_differences(*({("r", "T"): run._replace(times=times + start)} for run in (first, second)), ("rmse_m",))
+        paired_differences(*(run.with_columns(t_s=times + start) for run in (first, second)), ("rmse_m",))
         for start in (0.0, 4096.0)
     )
     assert early["rmse_m"].pieces >= LEAST_PIECES

@@ -1,4 +1,4 @@
-"""Association with truth, error metrics by level, their text and JSON, and conditions on them."""
+"""Scored rows, every metric against NumPy at each level, and conditions on metrics."""
 
 import json
 import math
@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from scipy.stats import chi2, multivariate_normal
 
 import trackwright as tw
 from tests.trackers.evaluation.tables import evaluate_table
 from trackwright.experiments.cli.evaluating import violation
 from trackwright.experiments.text.evaluation_text import to_json, to_text
-from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Station
-from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import _truths, associate, evaluate
-from trackwright.trackers.recordings.truth import TruthStatus
+from trackwright.trackers.evaluation.evaluate import evaluate, rows_of
+from trackwright.trackers.evaluation.judge import energy_scores
+from trackwright.trackers.evaluation.rows import scored_rows
 
 RECORDINGS = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[3] / ".." / "shared" / "recordings"))
 
@@ -35,8 +35,7 @@ def _truth(t, x, tag="1", **columns):
     return pl.DataFrame({"t_s": t, "tag": [tag] * len(t), "x_m": x, "y_m": zero, "z_m": zero} | columns)
 
 
-def _statuses(tracks, truth):
-    return [TruthStatus(code) for code in associate_truth(tracks, {"hall": truth}).truth_status]
+P = np.array([[0.09, 0.02, -0.03], [0.02, 0.01, 0.004], [-0.03, 0.004, 0.04]])
 
 
 @pytest.fixture
@@ -47,10 +46,10 @@ def noisy():
     for recording, tag, n in (("hall", "a", 120), ("yard", "b", 50), ("yard", "c", 31)):
         t = np.sort(rng.uniform(0, 10, n))
         places = np.stack([np.cos(t), np.sin(2 * t), 0.1 * t], axis=1)
-        sigmas = np.array([0.3, 0.1, 0.2])
-        e = rng.normal(size=(n, 3)) * sigmas
+        e = rng.multivariate_normal(np.zeros(3), P, n)
         columns = {f"{axis}_m": places[:, k] + e[:, k] for k, axis in enumerate("xyz")}
-        columns |= {f"std_{axis}_m": np.full(n, sigmas[k]) for k, axis in enumerate("xyz")}
+        columns |= {f"std_{axis}_m": np.full(n, np.sqrt(P[k, k])) for k, axis in enumerate("xyz")}
+        columns |= {f"cov_{'xyz'[i]}{'xyz'[j]}_m2": np.full(n, P[i, j]) for i, j in ((0, 1), (0, 2), (1, 2))}
         columns |= {"nis": rng.chisquare(4, n), "nis_dof": np.full(n, 4.0), "status": ["ok"] * n}
         tracks.append(_tracks(t, columns.pop("x_m"), recording, tag, **columns))
         truth = _truth(t, places[:, 0], tag, y_m=places[:, 1], z_m=places[:, 2])
@@ -58,53 +57,65 @@ def noisy():
     return pl.concat(tracks), truths
 
 
-def test_truth_is_interpolated_linearly_at_the_estimates_times():
-    association = associate_truth(
-        _tracks([0.25, 0.5, 1.0], [0.0] * 3), {"hall": _truth([0.0, 0.5, 1.0], [0.0, 2.0, 3.0])}
-    )
-    np.testing.assert_allclose(association.truth[:, 0], [1.0, 2.0, 3.0], rtol=1e-15)
-
-
-def test_estimates_are_scored_only_inside_the_span_of_the_truth():
-    tracks = _tracks([0.9, 1.0, 1.5, 2.0, 2.1], [0.0] * 5)
-    outside, inside = TruthStatus.NO_TRUTH, TruthStatus.SCORED
-    assert _statuses(tracks, _truth([1.0, 2.0], [0.0, 0.0])) == [outside, inside, inside, inside, outside]
-
-
 @pytest.mark.parametrize(
-    ("seconds", "moved", "scored"),
-    [(1.5, 0.03, False), (1.5, 0.01, True), (0.9, 5.0, True), (100.0, 0.0, True), (1.01, 0.021, False)],
+    ("times", "truth", "why"),
+    [
+        ([0.9, 1.0, 1.5, 2.0, 2.1], _truth([1.0, 2.0], [0.0, 0.0]), ["no truth", None, None, None, "no truth"]),
+        ([0.75], _truth([0.0, 1.5], [0.0, 0.03]), ["hole"]),
+        ([0.75], _truth([0.0, 1.5], [0.0, 0.01]), [None]),
+        ([0.45], _truth([0.0, 0.9], [0.0, 5.0]), [None]),
+        ([50.0], _truth([0.0, 100.0], [0.0, 0.0]), [None]),
+        ([0.5], _truth([0.0, 1.01], [0.0, 0.021]), ["hole"]),
+        ([1.0], _truth([0.0, 1.0, 2.0], [0.0, None, 3.0]), ["hole"]),
+        ([0.5], _truth([0.0, 1.0], [0.0, 0.0]).with_columns(tag=pl.lit(1)), [None]),
+    ],
+    ids=["span", "hole", "long, but at rest", "moved, but short", "at rest", "just", "empty cells", "integer tags"],
 )
-def test_estimates_in_a_hole_are_scored_unless_it_is_long_and_the_tag_moved(seconds, moved, scored):
-    statuses = _statuses(_tracks([seconds / 2], [0.0]), _truth([0.0, seconds], [0.0, moved]))
-    assert statuses == [TruthStatus.SCORED if scored else TruthStatus.HOLE]
-
-
-def test_empty_truth_cells_are_a_hole():
-    truth = _truth([0.0, 1.0, 2.0], [0.0, None, 3.0])
-    assert _statuses(_tracks([1.0], [0.0]), truth) == [TruthStatus.HOLE]
+def test_estimates_are_scored_inside_the_truth_and_not_in_holes(times, truth, why):
+    assert scored_rows(_tracks(times, [0.0] * len(times)), {"hall": truth})["why"].to_list() == why
 
 
 def test_rows_without_an_estimate_are_not_scored():
     x = [1.0, 1.0, 1.0, None, math.nan, math.inf, 1.0, 1.0]
     status = ["waiting", "non-finite", "lost", "ok", "ok", "ok", None, "restarted"]
-    statuses = _statuses(_tracks([0.1 * k for k in range(8)], x, status=status), _truth([0.0, 1.0], [1.0, 1.0]))
-    none, counts = TruthStatus.NO_ESTIMATE, TruthStatus.SCORED
-    assert statuses == [none, none, counts, none, none, none, counts, counts]
+    rows = scored_rows(_tracks([0.1 * k for k in range(8)], x, status=status), {"hall": _truth([0.0, 1.0], [1.0, 1.0])})
+    none = "no estimate"
+    assert rows["why"].to_list() == [none, none, None, none, none, none, None, None]
 
 
-def test_integer_tags_in_the_truth_are_compared_as_text():
-    truth = _truth([0.0, 1.0], [0.0, 0.0]).with_columns(tag=pl.lit(8401))
-    assert _statuses(_tracks([0.5], [0.0], tag="8401"), truth) == [TruthStatus.SCORED]
+def test_truth_is_interpolated_linearly_at_the_estimates_times():
+    rows = scored_rows(_tracks([0.25, 0.5, 1.0], [0.0] * 3), {"hall": _truth([0.0, 0.5, 1.0], [0.0, 2.0, 3.0])})
+    np.testing.assert_allclose(rows["true_x_m"], [1.0, 2.0, 3.0], rtol=1e-15)
 
 
-def _plain(errors):
-    """RMS and maximum length of error vectors."""
-    lengths = sorted(math.hypot(*e) for e in errors)
-    return math.sqrt(sum(x * x for x in lengths) / len(lengths)), lengths[-1]
+def _expected(rows):
+    """The metrics of rows with columns of truth, by NumPy; effective samples and their bands are of test_judge."""
+    errors = np.stack([rows[f"{a}_m"] - rows[f"{a}_m_true"] for a in "xyz"], axis=1)
+    n = len(errors)
+    found = {"n": n, "n_rows": n, "n_no_estimate": 0, "n_no_truth": 0, "n_hole": 0}
+    found |= {"variance_m2": np.var(np.linalg.norm(errors[:, :2], axis=1))}
+    found |= {f"bias_{a}_m": errors[:, k].mean() for k, a in enumerate("xyz")}
+    found |= {"nis_ratio": sum(rows["nis"]) / sum(rows["nis_dof"]), "lost_s": 0.0, "lost_fraction": 0.0, "losses": 0}
+    for d, end, kind in ((2, "", "m"), (3, "_3d", "3d_m")):
+        size = np.linalg.norm(errors[:, :d], axis=1)
+        nees = np.einsum("ni,ij,nj->n", errors[:, :d], np.linalg.inv(P[:d, :d]), errors[:, :d])
+        found |= {f"rmse_{kind}": np.sqrt(np.mean(size**2)), f"mean_{kind}": size.mean(), f"max_{kind}": size.max()}
+        shares = {"median": 50, "p90": 90, "p95": 95, "p99": 99}
+        found |= {f"{name}_{kind}": np.percentile(size, share) for name, share in shares.items()}
+        ratio, density = nees.mean() / d, multivariate_normal(cov=P[:d, :d]).logpdf(errors[:, :d])
+        found |= {f"n_no_covariance{end}": 0, f"n_zero_covariance{end}": 0, f"nees{end}_mean": nees.mean()}
+        found |= {
+            f"nees{end}_ratio": ratio,
+            f"regret{end}": ratio - 1 - np.log(ratio),
+            f"log_density{end}": density.mean(),
+        }
+        found[f"energy_score{end}_m"] = energy_scores(errors[:, :d], np.tile(P[:d, :d], (n, 1, 1))).mean()
+        found[f"sigma_factor{end}"] = np.sqrt(np.median(nees) / chi2.ppf(0.5, d))
+        found |= {f"coverage_{p}{end}": np.mean(nees <= chi2.ppf(p / 100, d)) for p in (50, 68, 90, 95, 99)}
+    return found
 
 
-def test_every_level_pools_the_rows_of_its_tracks(noisy):
+def test_every_metric_is_that_of_numpy_for_each_track_each_recording_and_overall(noisy):
     tracks, truths = noisy
     every = pl.concat([truths[name].with_columns(recording=pl.lit(name)) for name in truths])
     joined = tracks.join(every, on=["recording", "tag", "t_s"], suffix="_true")
@@ -114,33 +125,12 @@ def test_every_level_pools_the_rows_of_its_tracks(noisy):
     levels += [(f, joined.filter(recording=f["recording"], tag=f["tag"])) for f in evaluation.tracks]
     assert [metrics["n"] for metrics, _ in levels] == [201, 120, 81, 120, 50, 31]
     for metrics, rows in levels:
-        errors = [[row[f"{a}_m"] - row[f"{a}_m_true"] for a in "xyz"] for row in rows.to_dicts()]
-        # Sums of at most 201 numbers in another order.
-        assert (metrics["rmse_m"], metrics["max_m"]) == pytest.approx(_plain([e[:2] for e in errors]), rel=1e-12)
-        assert (metrics["rmse_3d_m"], metrics["max_3d_m"]) == pytest.approx(_plain(errors), rel=1e-12)
-        found = [metrics[f"{name}_m"] for name in ("median", "p90", "p95", "p99")]
-        # Both interpolate between two doubles and may round differently.
-        assert found == pytest.approx(np.percentile([math.hypot(*e[:2]) for e in errors], (50, 90, 95, 99)), rel=1e-12)
-        assert metrics["bias_z_m"] == pytest.approx(sum(e[2] for e in errors) / len(errors), rel=1e-9)
-        assert metrics["nis_ratio"] == pytest.approx(sum(rows["nis"]) / sum(rows["nis_dof"]), rel=1e-12)
-        nees = [(e[0] / 0.3) ** 2 + (e[1] / 0.1) ** 2 for e in errors]
-        assert metrics["nees_mean"] == pytest.approx(sum(nees) / len(nees), rel=1e-12)
-        assert metrics["nees_ratio"] == pytest.approx(sum(nees) / len(nees) / 2, rel=1e-12)
-        for percent in (50, 68, 90, 95, 99):
-            # The chi-square quantile of two degrees of freedom is −2 log(1 − p).
-            inside = sum(value < -2 * math.log(1 - percent / 100) for value in nees)
-            assert metrics[f"coverage_{percent}"] == inside / len(nees)
-
-
-def test_a_part_of_an_association_is_the_association_of_that_recording(noisy):
-    tracks, truths = noisy
-    whole = associate_truth(tracks, truths)
-    for name in ("hall", "yard", "nowhere"):
-        part, own = whole.of_recording(name), associate_truth(tracks.filter(recording=name), truths)
-        assert part.rows.equals(own.rows)
-        np.testing.assert_array_equal(part.truth, own.truth)
-        np.testing.assert_array_equal(part.truth_status, own.truth_status)
-        np.testing.assert_array_equal(part.starts, own.starts)
+        expected = _expected(rows)
+        assert {name: metrics[name] for name in expected} == pytest.approx(expected, rel=1e-9, abs=1e-12)
+        rest = {name for name in metrics if name not in expected and "effective" not in name}
+        assert {x for x in rest if not x.endswith(("_low", "_high"))} <= {
+            "recording", "tag", "residual_ratio_5s", "residual_part_5s",
+        }  # fmt: skip
 
 
 def test_the_order_of_rows_changes_nothing(noisy):
@@ -153,12 +143,6 @@ def test_the_order_of_rows_changes_nothing(noisy):
         pl.concat(tracks.partition_by("recording", "tag")[::-1]),
     ):
         assert evaluate_table(same, shuffled) == evaluate_table(tracks, truths)
-
-
-def test_correlated_covariances_enter_the_nees():
-    tracks = _tracks([0.5], [1.0], y_m=[1.0], std_x_m=[1.0], std_y_m=[1.0], cov_xy_m2=[0.5])
-    # [1 1] inv([[1, 0.5], [0.5, 1]]) [1 1]ᵀ = 4/3
-    assert evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall["nees_mean"] == pytest.approx(4 / 3)
 
 
 def _with_covariances(axes, bad, n=400, sigma=0.05, **columns):
@@ -197,6 +181,16 @@ def test_a_singular_covariance_counts_as_outside_and_a_missing_entry_as_none(cov
     assert found["nees_ratio"] == pytest.approx(squares.mean() / 2, rel=1e-5)
 
 
+def test_where_all_covariances_are_singular_no_truth_is_inside_and_there_is_no_verdict():
+    tracks = _tracks([0.0, 1.0], [0.1, 0.2], std_x_m=[0.0, 0.0], std_y_m=[0.1, 0.1])
+    found = evaluate_table(tracks, {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
+    assert (found["coverage_95"], found["nees_ratio"]) == (0.0, None)
+    assert found.statements == [
+        "2 of 2 rows are without a covariance, 2 of them with a zero or singular one, which has no truth inside; with "
+        "more than a tenth, covariances are not judged."
+    ]
+
+
 def test_a_height_known_in_some_rows_alone_counts_as_zero():
     deviations = pl.Series(np.where(np.arange(400) % 4, 0.05, 0.0))
     found, squares = _with_covariances(3, 0.05, std_z_m=deviations)
@@ -206,17 +200,13 @@ def test_a_height_known_in_some_rows_alone_counts_as_zero():
     assert "100 of 400 rows are without a covariance in three dimensions" in found.statements[1]
 
 
-def test_a_known_height_leaves_the_horizontal_metrics():
-    tracks = _tracks([0.5], [1.0], std_x_m=[1.0], std_y_m=[1.0], std_z_m=[0.0])
-    overall = evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
-    assert (overall["rmse_3d_m"], overall["nees_mean"], overall["nees_3d_mean"]) == (1.0, 1.0, None)
-
-
-@pytest.mark.parametrize("z", [[None], [math.nan]])
-def test_tracks_without_height_have_no_metrics_in_space(z):
-    tracks = _tracks([0.5], [1.0], z_m=pl.Series(z, dtype=pl.Float64))
-    overall = evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
-    assert (overall["rmse_m"], overall["rmse_3d_m"], overall["bias_z_m"]) == (1.0, None, None)
+@pytest.mark.parametrize(("z", "expected"), [(0.0, (1.0, 0.0)), (None, (None, None)), (math.nan, (None, None))])
+def test_a_known_height_and_a_missing_one_leave_the_horizontal_metrics(z, expected):
+    height = pl.Series([z], dtype=pl.Float64)
+    tracks = _tracks([0.5], [1.0], z_m=height, std_x_m=[1.0], std_y_m=[1.0], std_z_m=[0.0])
+    found = evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])})
+    assert (found["rmse_m"], found["nees_mean"], found["nees_3d_mean"]) == (1.0, 1.0, None)
+    assert (found["rmse_3d_m"], found["bias_z_m"]) == expected
 
 
 def test_time_lost_adds_up_over_tracks():
@@ -228,10 +218,9 @@ def test_time_lost_adds_up_over_tracks():
 
 
 def test_without_a_span_of_time_the_share_lost_is_that_of_the_rows():
-    status = dict(zip("12345", ("lost", "ok", "lost", "ok", "ok"), strict=True))
-    tracks = pl.concat([_tracks([1.0], [0.0], tag=tag, status=[what]) for tag, what in status.items()])
-    truth = pl.concat([_truth([0.0, 9.0], [0.0, 0.0], tag) for tag in status])
-    evaluation = evaluate_table(tracks, {"hall": truth})
+    status = ["lost", "ok", "lost", "ok", "ok"]
+    tracks = pl.concat([_tracks([1.0], [0.0], tag=f"{k}", status=[what]) for k, what in enumerate(status)])
+    evaluation = evaluate_table(tracks, {"hall": pl.concat([_truth([0.0, 9.0], [0.0, 0.0], f"{k}") for k in range(5)])})
     assert [track["lost_fraction"] for track in evaluation.tracks] == [1, 0, 1, 0, 0]
     assert (evaluation["lost_s"], evaluation["lost_fraction"]) == (0.0, 0.4)
 
@@ -428,7 +417,7 @@ def test_recordings_of_one_name_are_told_apart_by_their_place():
         evaluate(tracker.run(unnamed), unnamed[:1])
 
 
-def test_recordings_in_arrays_whose_truth_is_known_in_some_rows_or_none_or_has_no_height():
+def test_recordings_in_arrays_may_have_truth_in_some_rows_or_none_or_without_height():
     own = [_still(float(k), name=f"{k}") for k in range(4)]
     estimates = tw.fix_tracker().run(own)
 
@@ -437,22 +426,12 @@ def test_recordings_in_arrays_whose_truth_is_known_in_some_rows_or_none_or_has_n
 
     rows = np.arange(20) % 7 < 5
     given = [known(own[0], ~rows), known(own[1], 0 * rows > 0), known(own[2], rows, 2), known(own[3], 0 * rows > 0)]
-    found = associate(estimates, given)
-    expected = associate_truth(estimates.to_polars().with_columns(tag=pl.lit("")), _truths(given))
-    assert {TruthStatus(x) for x in found.truth_status[[25, 65]]} == {TruthStatus.NO_TRUTH}
-    np.testing.assert_array_equal(found.truth, expected.truth)
-    np.testing.assert_array_equal(found.truth_status, expected.truth_status)
-
-
-@pytest.mark.parametrize(("world", "tracker"), [("agv", "fix-kf"), ("ranges", "multilateration")])
-def test_recordings_in_arrays_have_the_truth_that_their_tables_would_have(world, tracker):
-    # Ranges to several anchors share a time, of which the first row counts.
-    folder = WORLDS[world](np.arange(3), 1, rows=20)
-    (batch,) = tw.build(tracker, folder).batches([folder])
-    recordings = [one.recording for one in batch.trajectories]
-    estimates = batch.tracker.run(recordings)
-    found = associate(estimates, recordings)
-    expected = associate_truth(estimates.to_polars().with_columns(tag=pl.lit("")), _truths(recordings))
-    assert found.scored.any()
-    np.testing.assert_array_equal(found.truth, expected.truth)
-    np.testing.assert_array_equal(found.truth_status, expected.truth_status)
+    found = rows_of(estimates, given).partition_by("recording", as_dict=True)
+    true = {name: part["true_x_m"].to_numpy() for (name,), part in found.items()}
+    inside = {"0": slice(5, 20), "2": slice(0, 19)}
+    for name, x in true.items():
+        expected = np.full(20, np.nan)
+        if name in inside:
+            expected[inside[name]] = float(name)
+        np.testing.assert_allclose(x, expected, rtol=1e-12)
+    assert found["2",]["true_z_m"].is_null().all()

@@ -7,9 +7,9 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import evaluate_association
+from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.residuals import residual_ratios
+from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.evaluation.statements import LASTING
 
 
@@ -84,8 +84,7 @@ OWN_MODEL = {"motion.sigma_bias": 1e-3, "start.sigma_bias": 1e-3, "start.sigma_s
 def test_without_truth_noise_that_is_too_small_is_told_from_a_bias(noise, bias, words):
     folder = tw.simulate.ranges(n=3, rows=600, seed=4, hidden=0.0, lost=0.0, sigma_r=noise, bias=bias).folder()
     tracks = tw.build("uwb", folder).with_values(OWN_MODEL, "the test").run(folder)
-    blind = associate_truth(tracks.to_polars(), {})
-    (sentence,) = evaluate_association(blind, ratios=residual_ratios(tracks)).statements
+    (sentence,) = Evaluation.of(scored_rows(tracks.to_polars(), {}), residual_ratios(tracks)).statements
     assert sentence.startswith(words)
 
 

@@ -6,9 +6,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from tests.trackers.evaluation.tables import evaluate_table
-from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import evaluate_association
+from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.judge import energy_scores
+from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.evaluation.statements import verdict
 
 N = 4000
@@ -96,7 +96,7 @@ def test_a_recording_outside_its_band_is_named():
 def test_without_truth_the_innovations_are_judged(scale, repeats, words):
     nis = scale * np.repeat(np.random.default_rng(3).chisquare(2, N // repeats), repeats)
     tracks, _ = _tracks(nis=nis)
-    (sentence,) = evaluate_association(associate_truth(tracks, {})).statements
+    (sentence,) = Evaluation.of(scored_rows(tracks, {})).statements
     assert sentence.startswith(words)
 
 
@@ -128,7 +128,7 @@ def test_losses_speak_where_the_innovations_are_as_expected():
     status = np.where(np.arange(N) % 400 == 399, "lost", "ok").astype(object)
     status[400::400] = "restarted"
     tracks, truth = _tracks(nis=np.random.default_rng(3).chisquare(2, N), status=status)
-    evaluation = evaluate_association(associate_truth(tracks, {}))
+    evaluation = Evaluation.of(scored_rows(tracks, {}))
     # Nine losses with a start after them, and the last at the end of the rows.
     assert (evaluation.overall["losses"], evaluation.overall["lost_s"]) == (10, pytest.approx(9 * 0.05))
     (first,) = evaluation.statements

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.trackers.exchange.against_evo import evo_errors
 from trackwright.trackers.core.data.consistency import nees
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.scoring import covariances
+from trackwright.trackers.evaluation.rows import covariances
 from trackwright.trackers.exchange.pose_errors import associate, compare_trajectories
 from trackwright.trackers.exchange.trajectories import (
     PoseTrajectory,

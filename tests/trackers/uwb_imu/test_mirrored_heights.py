@@ -8,7 +8,7 @@ import trackwright as tw
 from trackwright.experiments.cli.tracking import mirrored_heights
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 SECONDS, SIZE = 15.0, np.array([12.0, 8.0])
@@ -42,7 +42,7 @@ MIDDLE = [_site(k, 1.3, lambda t: 2.3 + 0.0 * t) for k in range(5)]
 
 def _wrong_side(tracks, folders):
     """The recordings of which a tenth of the estimates, or more, is on the other side than the truth."""
-    lines = mirrored_heights(associate_truth(tracks.table, {f.name: f.tables["truth"] for f in folders}), folders)
+    lines = mirrored_heights(scored_rows(tracks.table, {f.name: f.tables["truth"] for f in folders}), folders)
     return [f.name for f in folders if any(f.name in line for line in lines)]
 
 

@@ -14,9 +14,7 @@ import polars as pl
 
 from trackwright.experiments.pages.reports.runs import TrackRun
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.comparison import errors_by_track
-from trackwright.trackers.evaluation.scoring import score
+from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 T = 0.1 * np.arange(30)
@@ -34,8 +32,7 @@ def small_run(name: str, shifts: Mapping[str, float]) -> TrackRun:
     table = pl.concat(
         [pl.DataFrame({"recording": key} | at | spread).with_columns(pl.col("x_m") + s) for key, s in shifts.items()]
     )
-    association = associate_truth(table, dict.fromkeys(shifts, truth))
-    return TrackRun(name, Path(name), False, {}, folders, association, errors_by_track(association, score(association)))
+    return TrackRun(name, Path(name), False, {}, folders, scored_rows(table, dict.fromkeys(shifts, truth)))
 
 
 def chart_data(address: str) -> Any:

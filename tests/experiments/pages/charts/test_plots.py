@@ -42,7 +42,7 @@ from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.diagnostics import Innovations
 from trackwright.tuning.parameters import Parameter
@@ -78,7 +78,7 @@ def _scored(tracks, truth=None, **rig):
     """The tracks with their errors, of a recording with that truth and installation."""
     tables = {} if truth is None else {"truth": truth.select("t_s", "tag", "x_m", "y_m", "z_m")}
     folder = RecordingFolder("hall", None, Rig("hall", **rig), tables)
-    return ScoredTracks(associate_truth(tracks, {"hall": truth} if tables else {}), [folder], []).recordings[0]
+    return ScoredTracks(scored_rows(tracks, {"hall": truth} if tables else {}), [folder], []).recordings[0]
 
 
 def _drawn(path, chart, *given, size=(6.0, 3.0), **named):
@@ -188,7 +188,7 @@ def test_errors_over_time_have_a_chart_for_each_axis_with_errors(tmp_path, figur
     for z, count in ((1.0, 3), (None, 2)):
         tracks = _tracks(2).with_columns(z_m=pl.lit(z, pl.Float64), std_z_m=pl.lit(0.1))
         scored = ScoredTracks(
-            associate_truth(tracks.with_columns(pl.col("x_m") + 0.1), {"hall": _tracks(2)}),
+            scored_rows(tracks.with_columns(pl.col("x_m") + 0.1), {"hall": _tracks(2)}),
             [RecordingFolder("hall", None, Rig("hall"), {"truth": _tracks(2)})], [],
         )  # fmt: skip
         figures.clear()

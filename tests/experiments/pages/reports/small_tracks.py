@@ -7,7 +7,7 @@ import polars as pl
 
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.model.rig import Rig, Station
-from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 NASTY = "<script>document.title = 'stolen'</script>"
@@ -46,7 +46,7 @@ def small_tracks(rows: int = 80, tags: tuple[str, ...] = TAGS, seed: int = 1, la
     tables = {"truth": pl.concat(truths), "ranges": pl.concat(ranges).sort("t_s")}
     rig = Rig("hall", anchors={name: np.array(place) for name, place in ANCHORS.items()})
     folder = RecordingFolder("hall", None, rig, tables)
-    return ScoredTracks(associate_truth(pl.concat(estimates), {"hall": tables["truth"]}), [folder], [])
+    return ScoredTracks(scored_rows(pl.concat(estimates), {"hall": tables["truth"]}), [folder], [])
 
 
 def small_bearings(in_plane: bool, rows: int = 60) -> tuple[ScoredTracks, np.ndarray, np.ndarray]:
@@ -84,4 +84,8 @@ def small_bearings(in_plane: bool, rows: int = 60) -> tuple[ScoredTracks, np.nda
     truth = pl.DataFrame({"t_s": times, "tag": "A"} | {f"{a}_m": 5 * place[:, i] for i, a in enumerate("xyz")})
     rig = Rig("yard", stations={"S": Station(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))})
     folder = RecordingFolder("yard", None, rig, {"truth": truth})
-    return ScoredTracks(associate_truth(table, {"yard": truth}), [folder], []), np.degrees(estimate), np.degrees(true)
+    return (
+        ScoredTracks(scored_rows(table, {"yard": truth}, {"yard": rig.stations}), [folder], []),
+        np.degrees(estimate),
+        np.degrees(true),
+    )

@@ -17,8 +17,8 @@ from trackwright.experiments.pages.charts.figures import plot_tracks
 from trackwright.experiments.pages.reports.pages import drawn_rows, drawn_tracks, packed, script_json
 from trackwright.experiments.pages.reports.track import error_map, run_data, track_page
 from trackwright.experiments.pages.scored_tracks import IN_PLANE, ScoredTracks, drawn_of
-from trackwright.trackers.evaluation.association import associate_truth
-from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.evaluation.evaluate import Evaluation
+from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.columns import float_column
 
 NO_EVENTS = pl.DataFrame(
@@ -42,14 +42,14 @@ def recording(tracks):
 
 
 def test_the_columns_are_those_of_the_table(tracks, recording):
-    rows = tracks.association.rows
+    rows = tracks.rows
     assert recording["rows"] == recording["drawn"] == len(rows)
     for name, column in (("v0", "x_m"), ("v1", "y_m"), ("s0", "std_x_m"), ("nis", "nis")):
         np.testing.assert_allclose(_unpacked(recording["columns"][name]), float_column(rows, column), rtol=1e-6)
     times = recording["start"] + _unpacked(recording["columns"]["t"])
     np.testing.assert_allclose(times, float_column(rows, "t_s"), rtol=1e-6)
-    errors = float_column(rows, "x_m") - tracks.association.truth[:, 0]
-    scored = tracks.association.scored
+    errors = float_column(rows, "x_m") - float_column(rows, "true_x_m")
+    scored = rows["why"].is_null().to_numpy()
     np.testing.assert_allclose(_unpacked(recording["columns"]["e0"])[scored], errors[scored], rtol=1e-4, atol=1e-6)
     assert np.isnan(_unpacked(recording["columns"]["e0"])[~scored]).all()
 
@@ -57,8 +57,8 @@ def test_the_columns_are_those_of_the_table(tracks, recording):
 def test_a_row_has_its_word_of_status_and_is_ok_with_an_unknown_one_or_none():
     tracks = small_tracks(rows=7, tags=("A",))
     words = ["waiting", "ok", "lost", "restarted", "non-finite", "drifting", None]
-    rows = tracks.association.rows.with_columns(status=pl.Series(words))
-    run = run_data(ScoredTracks(tracks.association._replace(rows=rows), tracks.folders, []), NO_EVENTS, None, "uwb")
+    rows = tracks.rows.with_columns(status=pl.Series(words))
+    run = run_data(ScoredTracks(rows, tracks.folders, []), NO_EVENTS, None, "uwb")
     recording = run["recordings"][0]
     shown = [recording["statuses"][number] for number in _unpacked(recording["columns"]["status"])]
     assert shown == [*words[:5], "ok", "ok"]
@@ -100,9 +100,8 @@ def test_the_rig_is_drawn_where_the_estimates_are(tracks):
     anchors = {name: place + [*east, 0.0] for name, place in folder.rig.anchors.items()}
     moved = replace(folder, rig=replace(folder.rig, anchors=anchors, walls=walls, path_knots=path))
     places = [(pl.col(f"{a}_m") + by).alias(f"{a}_m") for a, by in zip("xy", east, strict=True)]
-    rows = tracks.association.rows.with_columns(places)
-    association = associate_truth(rows, {"hall": folder.tables["truth"].with_columns(places)})
-    drawn = run_data(ScoredTracks(association, [moved], []), NO_EVENTS, None, "uwb")["recordings"][0]
+    rows = scored_rows(tracks.rows.with_columns(places), {"hall": folder.tables["truth"].with_columns(places)})
+    drawn = run_data(ScoredTracks(rows, [moved], []), NO_EVENTS, None, "uwb")["recordings"][0]
     origin = np.array(drawn["origin"])
     assert np.all(origin > 1e5)
     np.testing.assert_allclose(np.array(drawn["rig"]["walls"]).reshape(-1, 2) + origin, walls.reshape(-1, 2))
@@ -122,7 +121,7 @@ def test_the_bias_of_an_anchor_is_its_median_residual_about_the_truth(recording)
 def test_the_map_holds_the_root_mean_square_error_of_each_cell(tracks):
     (recording,) = tracks.recordings
     found = error_map(recording, np.zeros(2))
-    squares, true = (recording.errors[:, :2] ** 2).sum(axis=1), recording.association.truth
+    squares, true = (recording.errors[:, :2] ** 2).sum(axis=1), recording.truth
     at = np.abs(true[:, None, 0] - found["x"]).argmin(axis=1), np.abs(true[:, None, 1] - found["y"]).argmin(axis=1)
     assert np.sum(found["count"]) == np.isfinite(squares).sum()
     for i, j in {(5, 3), *zip(*(x.tolist() for x in at), strict=True)}:
@@ -181,7 +180,7 @@ def test_a_long_recording_is_decimated_within_the_size_of_a_page():
 
 
 def test_no_text_of_a_user_ends_a_script_or_becomes_markup(tracks):
-    evaluation = evaluate(tracks.association, tracks.folders)
+    evaluation = Evaluation.of(tracks.rows)
     text = track_page([run_data(tracks, NO_EVENTS, evaluation, f"mine {NASTY}", NASTY)], f"track {NASTY}")
     assert NASTY not in text
 
@@ -208,7 +207,7 @@ def test_no_text_of_a_user_ends_a_script_or_becomes_markup(tracks):
 
 def test_a_direction_in_an_arrays_plane_is_one_angle_and_a_turn_of_it_is_no_error():
     tracks, estimate, true = small_bearings(in_plane=True)
-    run = run_data(tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), "das")
+    run = run_data(tracks, NO_EVENTS, Evaluation.of(tracks.rows), "das")
     (recording,) = run["recordings"]
     (axis,), columns = recording["axes"], {name: _unpacked(own) for name, own in recording["columns"].items()}
     assert axis["name"] == IN_PLANE
@@ -243,7 +242,7 @@ def test_the_band_of_nis_is_that_of_the_tracker_s_noise_and_empty_without_a_trac
     tracks = tw.build("uwb", folder).run(folder)
     bands = []
     for batches in (tracks.batches, ()):
-        scored = ScoredTracks(associate_truth(tracks.table, {folder.name: folder.tables["truth"]}), [folder], batches)
+        scored = ScoredTracks(scored_rows(tracks.table, {folder.name: folder.tables["truth"]}), [folder], batches)
         bands.append(run_data(scored, NO_EVENTS, None, "uwb")["recordings"][0]["nisBand"])
     # The NIS of four ranges with Student's t of 1.8 degrees of freedom; with normal noise it ends at 2.79.
     assert bands[0] == pytest.approx([0.25, 1.91], abs=0.06)
@@ -253,9 +252,10 @@ def test_the_band_of_nis_is_that_of_the_tracker_s_noise_and_empty_without_a_trac
 def test_errors_of_a_given_height_are_in_no_column():
     for std, there in ((0.0, False), (0.4, True)):
         tracks = small_tracks()
-        rows = tracks.association.rows.with_columns(std_z_m=pl.lit(std))
-        tracks = ScoredTracks(tracks.association._replace(rows=rows), tracks.folders, [])
-        run = run_data(tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), "uwb")
+        rows = tracks.rows.with_columns(std_z_m=pl.lit(std))
+        rows = scored_rows(rows, {f.name: f.tables["truth"] for f in tracks.folders})
+        tracks = ScoredTracks(rows, tracks.folders, [])
+        run = run_data(tracks, NO_EVENTS, Evaluation.of(tracks.rows), "uwb")
         assert {"rmse_3d_m" in line for line in run["metrics"]} == {there}
         assert len(run["recordings"][0]["axes"]) == 2 + there
 
@@ -271,15 +271,15 @@ def test_of_many_recordings_the_worst_the_median_and_the_best_have_figures():
 
 def test_the_page_says_which_recordings_have_figures_and_why():
     one = small_tracks(tags=("A",))
-    table, truth = one.association.rows, one.folders[0].tables["truth"]
+    table, truth = one.rows, one.folders[0].tables["truth"]
     folders = [replace(one.folders[0], name=f"hall-{k}") for k in range(6)]
     shifted = [
         table.with_columns(pl.col("x_m") + 0.2 * (k % 5), recording=pl.lit(f.name)) for k, f in enumerate(folders)
     ]
-    tracks = ScoredTracks(associate_truth(pl.concat(shifted), {f.name: truth for f in folders}), folders, [])
+    tracks = ScoredTracks(scored_rows(pl.concat(shifted), {f.name: truth for f in folders}), folders, [])
     words = run_data(tracks, NO_EVENTS, None, "uwb", figures=True)["figures"]
     assert re.search(r"hall-4 \(worst of 6.*hall-2 \(median of 6.*hall-[05] \(best of 6", words)
-    unknown = ScoredTracks(associate_truth(pl.concat(shifted), {}), folders, [])
+    unknown = ScoredTracks(scored_rows(pl.concat(shifted), {}), folders, [])
     assert "first 4 of 6" in run_data(unknown, NO_EVENTS, None, "uwb", figures=True)["figures"]
     assert run_data(one, NO_EVENTS, None, "uwb", figures=True)["figures"] == ""
 

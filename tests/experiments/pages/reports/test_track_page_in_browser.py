@@ -9,7 +9,7 @@ from tests.experiments.pages.reports.small_tracks import NASTY, TAGS, small_bear
 from tests.experiments.pages.reports.test_track_page import NO_EVENTS
 from trackwright.experiments.pages.plot import Playback
 from trackwright.experiments.pages.reports.track import run_data, track_page, write_track_page
-from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.recordings.columns import float_column
 
 PLACE = """([kind, tag]) => {
@@ -38,7 +38,7 @@ def browser():
 
 def _written(folder, tracks):
     event = pl.DataFrame({"recording": ["hall"], "tag": ["B"], "t_s": [5.0], "event": ["lost"], "detail": ["for 2 s"]})
-    evaluation = evaluate(tracks.association, tracks.folders)
+    evaluation = Evaluation.of(tracks.rows)
     run = run_data(tracks, event, evaluation, f"uwb: {NASTY}")
     write_track_page(folder / "report.html", [run], "trackwright track hall")
     return (folder / "report.html").as_uri()
@@ -61,7 +61,7 @@ def _go(page, time):
 
 def test_slider_keys_and_hover_show_what_the_table_holds(browser, tmp_path):
     tracks = small_tracks()
-    rows = tracks.association.rows
+    rows = tracks.rows
     page, errors = _opened(browser, _written(tmp_path, tracks))
     start = float(rows["t_s"].min())
     for tag, number in (("A", 7), ("B", 41), (NASTY, 79)):
@@ -69,7 +69,7 @@ def test_slider_keys_and_hover_show_what_the_table_holds(browser, tmp_path):
         _go(page, float(rows["t_s"][int(own)]) - start + 0.02)
         for kind, expected in (
             (".tag", rows.select("x_m", "y_m").row(int(own))),
-            (".truth", tracks.association.truth[own, :2]),
+            (".truth", rows.select("true_x_m", "true_y_m").row(int(own))),
         ):
             x, y, pixel = page.evaluate(PLACE, [kind, tag])
             assert np.hypot(x - expected[0], y - expected[1]) < pixel
@@ -106,7 +106,7 @@ def test_slider_keys_and_hover_show_what_the_table_holds(browser, tmp_path):
 def test_the_tracker_is_chosen_and_the_moment_and_the_tag_stay(browser, tmp_path):
     first, second = small_tracks(seed=1), small_tracks(rows=60, seed=2)
     runs = [
-        run_data(t, NO_EVENTS, evaluate(t.association, t.folders), f"{name}: a tracker", name, 2)
+        run_data(t, NO_EVENTS, Evaluation.of(t.rows), f"{name}: a tracker", name, 2)
         for name, t in (("uwb", first), (NASTY, second))
     ]
     write_track_page(tmp_path / "report.html", runs, "trackwright track hall")
@@ -117,20 +117,20 @@ def test_the_tracker_is_chosen_and_the_moment_and_the_tag_stay(browser, tmp_path
     assert page.inner_text("#summary") == f"{NASTY}: a tracker"
     assert page.inner_text("#clock") == "6.02 s"
     assert page.inner_text("#now h3") == "tag B"
-    rows = second.association.rows
+    rows = second.rows
     own = np.flatnonzero((rows["tag"] == "B").to_numpy())[30]
-    of_first = np.flatnonzero((first.association.rows["tag"] == "B").to_numpy())[30]
+    of_first = np.flatnonzero((first.rows["tag"] == "B").to_numpy())[30]
     x, y, pixel = page.evaluate(PLACE, [".tag", "B"])
     assert np.hypot(x - rows["x_m"][int(own)], y - rows["y_m"][int(own)]) < pixel
     x, y, _ = page.evaluate(PLACE, [".other", "B"])
-    rows = first.association.rows
+    rows = first.rows
     assert np.hypot(x - rows["x_m"][int(of_first)], y - rows["y_m"][int(of_first)]) < pixel
     assert page.inner_text("#others") == "At the same moment: ○ uwb."
     page.evaluate("document.getElementById('plan').scrollIntoView()")
     page.locator("circle.other[data-tag=B]").hover()
     shown = dict(line.split(": ", 1) for line in page.inner_text("#tip").splitlines())
     assert (shown["tracker"], shown["tag"]) == ("uwb", "B")
-    expected = first.association.rows.row(int(of_first), named=True)
+    expected = first.rows.row(int(of_first), named=True)
     assert shown["x"].startswith(f"{expected['x_m']:.3f}\u202fm ± {expected['std_x_m']:.3f}")
     cells = [row.inner_text().split("\t") for row in page.locator("#metrics tbody tr").all()]
     assert [row[:3] for row in cells[:4]] == [
@@ -177,7 +177,7 @@ def test_a_zoom_in_time_limits_playback_ellipses_and_tails(browser, tmp_path):
 @pytest.mark.parametrize("in_plane", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_directions_are_drawn_around_the_station(browser, tmp_path, in_plane):
     tracks, estimate, true = small_bearings(in_plane)
-    run = run_data(tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), "beam")
+    run = run_data(tracks, NO_EVENTS, Evaluation.of(tracks.rows), "beam")
     write_track_page(tmp_path / "report.html", [run], "trackwright track yard")
     page, errors = _opened(browser, (tmp_path / "report.html").as_uri())
     for row in (3, 30, 55):

@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 
 from trackwright.experiments.pages.reports.verdict import judge
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.association import associate_truth
+from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 ANCHORS = {name: np.array(place) for name, place in
@@ -38,7 +38,7 @@ def _tracks(folders, sigma, off=0.1, mirrored=False):
         noise = np.random.default_rng(1).normal(size=len(truth)) * 0.02
         rows.append(truth.with_columns(pl.col("x_m") + off + noise, height, recording=pl.lit(folder.name)))
         rows[-1] = rows[-1].with_columns(**{f"std_{a}_m": pl.lit(sigma) for a in "xyz"})
-    return associate_truth(pl.concat(rows), {folder.name: folder.tables["truth"] for folder in folders})
+    return scored_rows(pl.concat(rows), {folder.name: folder.tables["truth"] for folder in folders})
 
 
 REASONS = {
@@ -67,7 +67,7 @@ def test_the_log_density_is_that_of_scipy(dimensions):
     sides = [_tracks(folders, sigma) for sigma in (0.1, 0.2)]
     verdict = judge(sides, folders, dimensions)
     for side, sigma, found in zip(sides, (0.1, 0.2), (verdict.change.first, verdict.change.second), strict=True):
-        errors = side.rows.select("x_m", "y_m", "z_m").to_numpy() - side.truth
+        errors = side.select(pl.col(f"{a}_m") - pl.col(f"true_{a}_m") for a in "xyz").to_numpy()
         expected = multivariate_normal(np.zeros(dimensions), sigma**2 * np.eye(dimensions)).logpdf(
             errors[:, :dimensions]
         )

@@ -16,7 +16,7 @@ from trackwright.trackers.core.model.algebra import Vector, dense
 from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.core.run.latency import scored_truth, shifted_back
 from trackwright.trackers.core.run.smoother import Smoothed
-from trackwright.trackers.evaluation.evaluate import associate
+from trackwright.trackers.evaluation.evaluate import rows_of
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.tuning.fitting import FitOptions, fit
 from trackwright.tuning.objectives import RootMeanSquareError
@@ -84,7 +84,7 @@ def test_an_objective_scores_the_rows_that_evaluate_scores_where_the_truth_has_a
     terms = RootMeanSquareError().terms
     counts = eqx.filter_jit(lambda tracker, batch: tracker.accumulate(batch, terms, every_row=True)[1][:, 0])
     rows = counts(as_dtype(tracker, batch.dt.dtype), batch)
-    scored = associate(estimates, recording).scored
+    scored = rows_of(estimates, recording)["why"].is_null().to_numpy()
     before = estimates.times < recording.times[0]
     assert 0 < np.sum(~scored & ~before & recording.truth["position"][1]) < 10
     np.testing.assert_array_equal(np.asarray(rows) > 0, scored & recording.truth["position"][1] | before)
