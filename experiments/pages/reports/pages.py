@@ -86,6 +86,10 @@ def _plotting_script() -> Markup:
     return Markup((Path(spec.origin).parent / "package_data" / "plotly.min.js").read_text(encoding="utf-8"))
 
 
+TYPES = {"t": "f8", "tag": "u2", "source": "u2"}
+"""Types of columns that are no `f4`, in which times after a jump of the clock would run together."""
+
+
 def packed(values: np.ndarray, kind: str = "f4") -> dict[str, str]:
     """An array (n,) as plotly.js takes typed arrays: its kind, as `f4`, and its bytes in base64."""
     with np.errstate(over="ignore", invalid="ignore"):

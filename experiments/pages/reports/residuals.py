@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.experiments.pages.reports.pages import packed, rounded
+from trackwright.experiments.pages.reports.pages import TYPES, packed, rounded
 from trackwright.experiments.pages.scored_tracks import ScoredRecording
 from trackwright.trackers.recordings.columns import TagRows, float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -60,8 +60,7 @@ def page_residuals(recording: ScoredRecording, most: int) -> dict[str, Any]:
             points.append({"t": rows.times - start, "tag": tag, "source": source, "estimated": estimated, "true": true})
     step = max(1, -(-sum(len(columns["t"]) for columns in points) // most))
     for channel, columns in zip(channels, points, strict=True):
-        kinds = {"tag": "u2", "source": "u2"}
-        channel["points"] = {name: packed(x[::step], kinds.get(name, "f4")) for name, x in columns.items()}
+        channel["points"] = {name: packed(x[::step], TYPES.get(name, "f4")) for name, x in columns.items()}
     return {"tags": tags, "every": step, "channels": channels}
 
 

@@ -12,6 +12,7 @@ import polars as pl
 from markupsafe import Markup
 
 from trackwright.experiments.pages.reports.pages import (
+    TYPES,
     drawn_rows,
     drawn_tracks,
     packed,
@@ -234,7 +235,7 @@ def _packed_rows(
         columns["cov"] = np.nan_to_num(float_column(rows, "cov_xy_m2"))
     dof = np.nan_to_num(float_column(rows, "nis_dof"))
     columns |= {"nis": np.where(dof > 0, float_column(rows, "nis"), np.nan), "dof": dof}
-    return {name: packed(values) for name, values in columns.items()}
+    return {name: packed(values, TYPES.get(name, "f4")) for name, values in columns.items()}
 
 
 def _statuses(rows: pl.DataFrame, index: np.ndarray) -> np.ndarray:
@@ -327,7 +328,7 @@ def _bounds(recording: ScoredRecording, start: float) -> dict[str, Any] | None:
     times, bounds = recording.bounds
     step = max(1, len(times) // 2000)
     columns = {f"b{k}": packed(bounds[::step, k]) for k in range(3)}
-    return {"t": packed(times[::step] - start)} | columns
+    return {"t": packed(times[::step] - start, TYPES["t"])} | columns
 
 
 def error_map(recording: ScoredRecording, origin: np.ndarray) -> dict[str, Any] | None:

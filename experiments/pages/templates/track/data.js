@@ -1,6 +1,6 @@
 // The data of the page: typed arrays from base64, and rows of tracks by time.
 
-const KINDS = { f4: Float32Array, u1: Uint8Array, u2: Uint16Array };
+const KINDS = { f4: Float32Array, f8: Float64Array, u1: Uint8Array, u2: Uint16Array };
 
 /** The content with every packed array replaced by a typed one. */
 function unpacked(content) {
@@ -16,11 +16,11 @@ function unpacked(content) {
 
 /** The last row of a track at or before the time, or -1. */
 function rowAt(recording, track, time) {
-  const times = recording.columns.t, limit = Math.fround(time);  // in the precision of the times
+  const times = recording.columns.t;
   let low = track.first, high = track.end;
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (times[middle] <= limit) low = middle + 1; else high = middle;
+    if (times[middle] <= time) low = middle + 1; else high = middle;
   }
   return low - 1 < track.first ? -1 : low - 1;
 }
