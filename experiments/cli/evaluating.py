@@ -163,7 +163,7 @@ def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions
 
 
 def _read_truth(paths: Sequence[Path], tag: str | None, name: str | None) -> list[RecordingFolder]:
-    """The recordings, or the one path of a trajectory file as that of a tag and a recording, where they are known."""
+    """The recordings, or the one path of a trajectory file as of a tag and a recording, where they are known."""
     if not paths:
         raise UnusableInput("no --truth; expected recording folders, or a trajectory file: --truth FOLDER|FILE")
     for path in paths:

@@ -55,7 +55,7 @@ def import_source(
 
     Args:
         source: a file, or the folder of a ROS 2 bag; with --path a recording folder.
-        out: the recording folder to write, whose name is that of the recording; tables are added to an existing one.
+        out: the recording folder to write, whose name is the recording's; tables are added to an existing one.
         table: what the rows or messages are.
         columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm*0.001",
             "range_m=distance in mm", "t_s=stamp in iso" or "in mm/dd/yyyy", "t_s=secs+nsecs*1e-9",

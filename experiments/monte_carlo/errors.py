@@ -1,4 +1,4 @@
-"""Errors, NEES and NIS of tracked trajectories as sums and histograms of each; metrics are those of `evaluate`."""
+"""Errors, NEES and NIS of tracked trajectories as sums and histograms of each; metrics are as in `evaluate`."""
 
 from __future__ import annotations
 

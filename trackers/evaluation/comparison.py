@@ -1,7 +1,7 @@
 """Differences between two runs on the same recordings, with intervals that respect that errors last.
 
 Both runs are cut into the same pieces of time, several times longer than the correlation of the errors, so that pieces
-are nearly independent; many tracks are pieces themselves. The interval is that of Student's t with the variance of the
+are nearly independent; many tracks are pieces themselves. The interval is Student's t's with the variance of the
 jackknife over pieces (Efron and Stein 1981; Künsch 1989 for pieces of a time series).
 """
 

@@ -95,7 +95,7 @@ def evaluate(
 
     `estimates`: `Tracks`, a table with the columns of tracks.parquet, or the `Estimates` of `Recording`s whose truth is
     a `position`. `every`: s, score only the last estimate in each interval of that length. Recordings in arrays of one
-    name are told apart by their place, which must be that of the run. Raises UnusableInput if no recording has a truth,
+    name are told apart by their place, which must be the run's. Raises UnusableInput if no recording has a truth,
     or no estimate lies inside the truth of its recording and tag, and for two folders of one name.
     """
     recordings = _several(recordings)

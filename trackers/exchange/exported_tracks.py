@@ -67,7 +67,7 @@ def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
 def write_bag(out: Path, tracks: Sequence[ExportedTrack]) -> list[str]:
     """Writes the bag, a new folder, completely or not at all, and returns the topics, /RECORDING/TAG.
 
-    An unknown variance of the position is 0 as in ROS; attitudes are those of the poses or the identity, with zero
+    An unknown variance of the position is 0 as in ROS; attitudes are the poses' or the identity, with zero
     variance. Raises UnusableInput for times before 0, an existing folder, and without the package rosbags.
     """
     rosbag2, typesys = rosbags_module("rosbag2", "--format ros2"), rosbags_module("typesys", "--format ros2")

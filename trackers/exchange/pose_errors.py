@@ -25,7 +25,7 @@ WINDOW_S, GRID_S, LONGEST_S = 0.5, 0.05, 10_000.0
 
 
 def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) -> Similarity:
-    """The map from the poses of an estimate to those of the truth, row k to row k.
+    """The map from the poses of an estimate to the truth's, row k to row k.
 
     `se3`: rotation and translation of least squares of the positions; `sim3`: with a scale; `scale`: that scale alone,
     about the origin; `se2`: rotation about the vertical axis and translation in x and y; `origin`: the first pose on
@@ -103,7 +103,7 @@ def _by_speed(estimate: PoseTrajectory, truth: PoseTrajectory) -> float:
         found = f"{estimate.name}: {lasts[0]:.3g} s, and {lasts[1]:.3g} s of truth, to estimate a time offset"
         raise UnusableInput(f"{found}; expected 2 to {LONGEST_S:,.0f} s; give --time-offset in seconds")
     grids = [np.arange(t.times[0], t.times[-1] - WINDOW_S, GRID_S) + WINDOW_S / 2 for t in (estimate, truth)]
-    # Rounding may put the ends of the windows beyond those of the trajectory.
+    # Rounding may put the ends of the windows beyond the trajectory's.
     v, w = (np.nan_to_num(_speeds(t, grid)) for t, grid in zip((estimate, truth), grids, strict=True))
     # Without their means the sums below lose fewer digits.
     v, w, one, true_one = v - v.mean(), w - w.mean(), np.ones_like(v), np.ones_like(w)

@@ -63,7 +63,7 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The readings of a log. Lines of the shell, `mr` and `ma` lines and empty lines are left out.
 
     Times: the text before the readings of a line, a number (s, or by an expression as `t_s=time in ms`), a date or time
-    of day; of TREK1000 lines without it, the time of the last range in ms that they hold; else that of line k is k
+    of day; of TREK1000 lines without it, the time of the last range in ms that they hold; else of line k it is k
     times the interval asked for. DWM1001 lines do not name the tag. Any other line is refused with its number, or left
     out with a notice if that is asked for.
     """

@@ -172,7 +172,7 @@ def _standard_errors(view: Compared, errors: Callable[[np.ndarray], np.ndarray],
     """The standard errors of numbers fitted to readings, whose errors are white and a bias of each anchor or station.
 
     The biases have the spread of the groups' median errors, which the fit has taken part of, and of measurements other
-    than positions at least the size that cannot be told from none; those of distances may have one part in common.
+    than positions at least the size that cannot be told from none; errors of distances may have one part in common.
     """
     e = errors(x)
     of_groups = np.nan_to_num(view.medians(e))
