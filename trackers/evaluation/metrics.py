@@ -1,7 +1,7 @@
 """The table of metrics. A metric is one entry: its words and an expression over sums of scored rows.
 
 Sums add up over tracks, recordings and the trajectories of a study, which takes its metrics from here as well. Names
-are the names in `--fail-if`, evaluation.json and studies, in metres and radians, horizontal unless they have `3d`.
+are as in `--fail-if`, evaluation.json and studies, in metres and radians, horizontal unless they have `3d`.
 """
 
 from __future__ import annotations
