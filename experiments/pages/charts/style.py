@@ -105,7 +105,7 @@ Draw = Callable[[Axes], object]
 class Chart(NamedTuple):
     """A chart of a page or a file: its name in a file's name, its title, what draws it, and its size in inches.
 
-    `height`: None of a floor plan, whose axes say it.
+    `height`: None of a floor plan, whose axes say it. `caption`: what a page says below it.
     """
 
     name: str
@@ -113,6 +113,12 @@ class Chart(NamedTuple):
     draw: Draw
     width: float = WIDTH
     height: float | None = HEIGHT
+    caption: str = ""
+
+    @property
+    def narrow(self) -> bool:
+        """Whether three stand abreast."""
+        return self.width == NARROW
 
     @property
     def address(self) -> str:

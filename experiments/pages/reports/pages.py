@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
+from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import duration, number
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import counted
@@ -35,13 +36,26 @@ def page(template: str, command: Sequence[str] = (), **content: Any) -> str:
     `command`: the arguments of the program that writes it, the first one its path.
     """
     environment = _environment()
-    words = shlex.join(["trackwright", *command[1:]])
-    text = environment.get_template(template).render(words=words, **content)
+    text = environment.get_template(template).render(words=typed(command), **content)
     if CHART not in text:
         return text
     scripts = environment.get_template("moving.html").render()
     before, end, after = text.rpartition("</body>")
     return before + scripts + end + after
+
+
+def report_page(
+    kind: str, title: str, summary: Sequence[str], sections: Sequence[Section], commands: Sequence[str], foot: str = ""
+) -> str:
+    """A report: a `summary` in paragraphs, sections, without those that are empty, and commands as typed."""
+    shown = [section for section in sections if section.rows or any(section.parts)]
+    words = [*filter(None, summary)]
+    return page("report.html", kind=kind, title=title, summary=words, sections=shown, commands=commands, foot=foot)
+
+
+def typed(command: Sequence[str]) -> str:
+    """The arguments of a program, the first one its path, as a user types them."""
+    return shlex.join(["trackwright", *command[1:]])
 
 
 def write_page(path: Path | str, text: str) -> Path:
@@ -50,7 +64,9 @@ def write_page(path: Path | str, text: str) -> Path:
 
 
 def _cell(text: str) -> str | Markup:
-    """A table cell's text with true minus signs; its interval is kept on one line."""
+    """A table cell's text with true minus signs; its interval is kept on one line, and markup as it is."""
+    if isinstance(text, Markup):
+        return text
     text = re.sub(r"(?<![\w.-])-(?=\d)", "\u2212", text)
     match = re.fullmatch(r"(\S+) (\(\S+ … \S+\))", text)
     return text if match is None else Markup('{} <span class="interval">{}</span>').format(*match.groups())

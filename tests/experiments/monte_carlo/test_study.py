@@ -12,7 +12,7 @@ from trackwright.experiments.monte_carlo.errors import Masked, TrackedRuns, scor
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
 from trackwright.experiments.monte_carlo.sources import load_study
-from trackwright.experiments.pages.reports.study_text import to_text
+from trackwright.experiments.pages.reports.study import to_text
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
