@@ -18,11 +18,11 @@ from trackwright.experiments.cli.console import FoldersInTurn
 from trackwright.experiments.cli.options import TuneOptions, file_format
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
-from trackwright.experiments.pages.charts.objective import named
 from trackwright.experiments.pages.charts.style import write_charts
 from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart
 from trackwright.experiments.pages.reports.before_after import (
     MOST_PLANS,
+    NO_PLANS,
     Compared,
     TrackChanges,
     compare,
@@ -64,7 +64,7 @@ def tune_folders(
         before = tracked(fitted.named, fitted.shown)
         compared = judged(fitted, before)
         begin("comparing before and after")
-        plans = None if options.figures == "none" else _plans(fitted, before)
+        plans = NO_PLANS if options.figures == "none" else _plans(fitted, before)
         begin("report")
         content = _write_run(fitted, recordings, time.perf_counter() - clock, started, compared, plans)
     if fitted.result.uncertainty is None:
@@ -121,7 +121,7 @@ def _with(fitted: Fitted, values: Mapping[str, np.ndarray]) -> NamedTracker:
 
 def _write_run(
     fitted: Fitted, recordings: Sequence[Path], seconds: float, started: datetime, compared: Compared,
-    plans: TrackChanges | None,
+    plans: TrackChanges,
 ) -> dict[str, Any]:  # fmt: skip
     """Writes all files to the folder, prints what they show, and returns the content of tuned.toml."""
     options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
@@ -154,14 +154,12 @@ def _write_run(
         known = replace(
             known,
             training=recording_names(data.training),
-            command=command,
-            next_commands=(use, command),
+            commands=(use, command),
             tracker=fitted.named.name,
             tracker_about=spec_of(fitted.named.name).about,
             seconds=seconds,
             compared=compared,
             plans=plans,
-            errors=() if plans is None else plans.errors,
             cautions=tuple(cautions),
             notes=tuple(notes),
         )
@@ -200,7 +198,7 @@ def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure
         for k in range(parts.shape[1]):
             label = parameter.label + (f".{k}" if values.ndim > 1 else "")
             columns[label] = parts[:, k].tolist()
-            labels.append((label, named(label, parameter.example.unit)))
+            labels.append((label, parameter.example.unit))
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
     if figure is None:
         return []

@@ -25,7 +25,6 @@ from trackwright.experiments.pages.charts.style import (
     VERMILION,
     WIDTH,
     Chart,
-    Draw,
     broken_at_gaps,
     legend_above,
     literal,
@@ -35,6 +34,7 @@ from trackwright.experiments.pages.reports.before_after import ErrorTrack, Track
 from trackwright.experiments.pages.reports.tuning_data import OptimiserTrace, TuningReportData
 from trackwright.experiments.pages.scored_tracks import root_mean_square
 from trackwright.experiments.text.wording import number
+from trackwright.trackers.core.wording import counted
 from trackwright.tuning.diagnostics import Innovations
 from trackwright.tuning.sweeping import Surface
 
@@ -49,6 +49,7 @@ SHOWN, MOST = 6, 24
 
 def plan_chart(change: TrackChange) -> Chart:
     """Paths before and after, 95 % ellipses of the same moments on both, truth, anchors, stations and walls."""
+    words = [change.rmse and f"RMSE {change.rmse}", "held out" if change.held_out else "tuned on", change.why]
 
     def draw(axes: Axes) -> None:
         looks = [(k, colour, f"95 % ellipses {k}") for k, colour in (("before", BEFORE), ("after", BLUE))]
@@ -57,7 +58,7 @@ def plan_chart(change: TrackChange) -> Chart:
         legend_above(axes, 3)
         axes.set_title(literal(change.name), pad=30)
 
-    return Chart("plan", f"Floor plan of {change.name}", draw, height=None)
+    return Chart("plan", f"Floor plan of {change.name}", draw, WIDTH, None, f"{'; '.join(filter(None, words))}.")
 
 
 def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
@@ -68,12 +69,34 @@ def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
         axes.set_title("NIS of all rows")
         plain(axes, "")
 
-    drawings: dict[str, Draw] = {
-        "NIS against its distribution": histograms,
-        "Probabilities of NIS": partial(draw_probabilities, before=before, after=after),
-        "Autocorrelation of NIS": partial(draw_autocorrelation, before=before, after=after),
-    }
-    return [Chart("consistency", title, draw, NARROW, NARROW * 0.92) for title, draw in drawings.items()]
+    size = NARROW, NARROW * 0.92
+    probabilities = partial(draw_probabilities, before=before, after=after)
+    lags = partial(draw_autocorrelation, before=before, after=after)
+    return [
+        Chart(
+            "nis",
+            "NIS against its distribution",
+            histograms,
+            *size,
+            "An overconfident filter has more large values than the vermilion line.",
+        ),
+        Chart(
+            "probabilities",
+            "Probabilities of NIS",
+            probabilities,
+            *size,
+            "The same values as probabilities, uniform for a consistent filter. Bars that rise to the right: reported "
+            "covariances too small; to the left: too large.",
+        ),
+        Chart(
+            "autocorrelation",
+            "Autocorrelation of NIS",
+            lags,
+            *size,
+            "Points above the band: errors are correlated in time, contrary to the model's white noise. Computed from "
+            "NIS transformed to standard normal values, since the signs of innovations are not stored.",
+        ),
+    ]
 
 
 def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
@@ -95,7 +118,9 @@ def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
         legend_above(axes, 3)
         plain(axes, "x")
 
-    return Chart("rmse", "RMSE of trajectories", draw, height=max(2.0, 1.0 + 0.24 * len(rows)))
+    caption = "RMSE of each trajectory; vermilion where it increased."
+    caption += f" The {MOST} largest are shown." if len(errors) > MOST else ""
+    return Chart("rmse", "RMSE of trajectories", draw, WIDTH, max(2.0, 1.0 + 0.24 * len(rows)), caption)
 
 
 def distribution_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
@@ -113,7 +138,7 @@ def distribution_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
         axes.set_title("Distribution of errors of all rows")
         plain(axes)
 
-    return Chart("distribution", "Distribution of errors", draw)
+    return Chart("distribution", "Distribution of errors", draw, caption="All rows pooled.")
 
 
 def error_charts(errors: Sequence[ErrorTrack], unit: str) -> list[Chart]:
@@ -174,15 +199,15 @@ def objective_chart(traces: Sequence[OptimiserTrace], title: str, selected: int 
             axes.legend(*(x[::-1] for x in axes.get_legend_handles_labels()), loc="upper right")
         plain(axes)
 
-    return Chart("tuning", "Objective", draw)
+    return Chart("tuning", "Objective", draw, caption=f"Objective at every step, from {counted(len(traces), 'start')}.")
 
 
-def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, title: str) -> Chart:
+def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, unit: str) -> Chart:
     """Parameter `k` at every step of every start, on a logarithmic axis where it is positive."""
 
     def draw(axes: Axes) -> None:
         _draw_steps(axes, traces, lambda t: t.values[:, k])
-        axes.set_title(title)
+        axes.set_title(named(name, unit))
         scale_axis(axes, np.concatenate([t.values[:, k] for t in traces]), "y")
         axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         axes.set_xlabel("step")
@@ -214,4 +239,7 @@ def surface_chart(data: TuningReportData, surface: Surface) -> Chart:
     def draw(axes: Axes) -> None:
         draw_objective(axes, labels, surface.grids, surface.values, best, about, paths)
 
-    return Chart("surface", f"Objective over {' and '.join(n.name for n in known)}", draw, WIDTH, 3.6)
+    over = f" over {' and '.join(n.name for n in known)}"
+    what = "Contours of the objective" if len(known) == 2 else "Objective"
+    caption = f"{what}{over}, with the optimiser's steps; other parameters at their tuned values."
+    return Chart("surface", f"Objective{over}", draw, WIDTH, 3.6, caption)

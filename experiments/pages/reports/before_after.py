@@ -190,6 +190,9 @@ class TrackChanges(NamedTuple):
     errors: tuple[ErrorTrack, ...]
 
 
+NO_PLANS = TrackChanges((), 0, ())
+
+
 def track_changes(
     before: Association, after: Association, folders: Sequence[RecordingFolder], held_out: Collection[str]
 ) -> TrackChanges:

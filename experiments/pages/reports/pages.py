@@ -15,9 +15,6 @@ import numpy as np
 from markupsafe import Markup
 
 from trackwright.experiments.text.tables import Section
-from trackwright.experiments.text.wording import duration, number
-from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.atomic import atomic_write
 
 if TYPE_CHECKING:
@@ -45,12 +42,18 @@ def page(template: str, command: Sequence[str] = (), **content: Any) -> str:
 
 
 def report_page(
-    kind: str, title: str, summary: Sequence[str], sections: Sequence[Section], commands: Sequence[str], foot: str = ""
+    kind: str,
+    title: str,
+    summary: Sequence[str],
+    sections: Sequence[Section],
+    commands: Sequence[str],
+    foot: str = "",
+    warnings: Sequence[str] = (),
 ) -> str:
-    """A report: a `summary` in paragraphs, sections, without those that are empty, and commands as typed."""
+    """A report: a `summary` in paragraphs, warnings, sections, without those that are empty, and commands as typed."""
     shown = [section for section in sections if section.rows or any(section.parts)]
-    words = [*filter(None, summary)]
-    return page("report.html", kind=kind, title=title, summary=words, sections=shown, commands=commands, foot=foot)
+    told = {"summary": [*filter(None, summary)], "warnings": warnings, "commands": commands, "foot": foot}
+    return page("report.html", kind=kind, title=title, sections=shown, **told)
 
 
 def typed(command: Sequence[str]) -> str:
@@ -76,10 +79,6 @@ def _is_wide(rows: Sequence[Sequence[str]]) -> bool:
     return sum(max(map(len, column)) + 3 for column in zip(*rows, strict=True)) > WIDE
 
 
-def _thousands(count: int) -> str:
-    return f"{count:,}".replace(",", "\u202f")
-
-
 def _environment() -> Environment:
     # It takes a while to import, which a run without a page need not wait for.
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -88,8 +87,7 @@ def _environment() -> Environment:
         loader=PackageLoader("trackwright.experiments.pages"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    made.filters |= {"cell": _cell, "is_wide": _is_wide, "thousands": _thousands, "number": number, "listed": listed,
-                     "counted": counted, "duration": duration}  # fmt: skip
+    made.filters |= {"cell": _cell, "is_wide": _is_wide}
     made.globals["plotting_script"] = _plotting_script
     return made
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from trackwright.experiments.pages.reports.before_after import Compared, ErrorTrack, TrackChanges
+from trackwright.experiments.pages.reports.before_after import NO_PLANS, Compared, TrackChanges
 from trackwright.experiments.text.wording import number, uncapitalised
 from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Batch
@@ -73,12 +71,11 @@ class OptimiserTrace:
 class TuningReportData:
     """Everything that a tuning report shows.
 
-    `command`: as typed; `next_commands`: to use the result and to repeat the run. `tracker`, `objective`: names,
-    `tracker_about`, `objective_about`: the same in words. `training`, `held_out`: names of recordings. `traces`: one
-    per start, the best first. `evaluated_on`: in words, the recordings of `innovations` (before, after) and `errors`.
-    `compared`: recordings before and after, in the figures of `evaluate`; `plans`: their tracks. `cautions`: clauses of
-    the fit on itself. `issues`: sentences on undetermined parameters. `notes`: sentences on irregularities of the run.
-    `provenance`: pairs of name and text.
+    `tracker`, `objective`: names, `tracker_about`, `objective_about`: the same in words. `training`, `held_out`: names
+    of recordings. `traces`: one per start, the best first. `innovations`: before and after, of held-out recordings if
+    there are any. `compared`: recordings before and after, in the figures of `evaluate`; `plans`: their tracks.
+    `cautions`: clauses of the fit on itself. `issues`: sentences on undetermined parameters. `notes`: sentences on
+    irregularities of the run. `commands`: to use the result and to repeat the run.
     """
 
     objective: str
@@ -89,26 +86,18 @@ class TuningReportData:
     metrics: tuple[MetricChange, ...]
     traces: tuple[OptimiserTrace, ...]
     surface: Surface | None
-    evaluated_on: str
     innovations: tuple[Innovations, Innovations] | None
     error_unit: str
     filter_runs: int
-    errors: tuple[ErrorTrack, ...] = ()
-    command: str = ""
-    next_commands: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
     tracker: str = ""
     tracker_about: str = ""
     seconds: float = 0.0
     compared: Compared | None = None
-    plans: TrackChanges | None = None
+    plans: TrackChanges = NO_PLANS
     cautions: tuple[str, ...] = ()
     issues: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    provenance: tuple[tuple[str, str], ...] = ()
-
-    def metric(self, key: str) -> MetricChange | None:
-        """The metric of this key, or None."""
-        return next((m for m in self.metrics if m.key == key), None)
 
 
 TITLES = {
@@ -136,7 +125,7 @@ def collect(
     `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters. The objective
     surface takes about as many evaluations as the fit took steps. What is not of the result is left to the caller.
     """
-    filter_runs, training, held_out = result.filter_runs, data.training, data.held_out
+    training, held_out = data.training, data.held_out
     quantity = next(iter(training[0].recording.truth))
     angles = quantity == "direction"
     # The metric `rmse` is the horizontal error; the 3-D error has a name of its own.
@@ -164,16 +153,11 @@ def collect(
         metrics=(*own, *_metrics(trackers, rows, weights, quantity, data.dimensions)),
         traces=traces_of(result),
         surface=surface_of(result),
-        evaluated_on="held-out recordings" if held_out else "the recordings tuned on",
         innovations=innovations,
         error_unit="°" if angles else "m",
-        filter_runs=filter_runs,
+        filter_runs=result.filter_runs,
         issues=tuple(issue.text for issue in issues),
         notes=(*([HELD_OUT] if held_out else []), *([] if innovations else [NO_DISTRIBUTION])),
-        provenance=(
-            ("trackwright", version("trackwright")),
-            ("created", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")),
-        ),
     )
 
 

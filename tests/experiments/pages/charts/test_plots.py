@@ -270,7 +270,7 @@ def test_the_band_of_white_noise_is_that_of_the_pairs_of_rows_after_the_fit(tmp_
 @pytest.mark.parametrize(("largest", "ticks"), [(50.0, [1, 3, 10, 30]), (200.0, [1, 10, 100])])
 def test_a_tuning_trace_has_three_round_ticks_at_least(figures, largest, ticks):
     trace = OptimiserTrace(T, np.geomspace(1.0, largest, len(T))[:, None])
-    assert parameter_chart([trace], 0, "motion.sigma_a", "motion.sigma_a (m/s²)").address
+    assert parameter_chart([trace], 0, "motion.sigma_a", "m/s²").address
     (axes,) = figures[0].axes
     low, high = axes.get_ylim()
     assert [tick for tick in axes.get_yticks() if low <= tick <= high] == pytest.approx(ticks)
@@ -280,7 +280,7 @@ def test_the_tuning_trace_takes_one_iteration_and_one_without_a_value(tmp_path):
     for objective in ([3.0], [3.0, np.nan]):
         trace = OptimiserTrace(np.array(objective), np.full((len(objective), 1), 0.1))
         _pixels(objective_chart([trace], "nll").write(tmp_path / "tuning.png"))
-        assert parameter_chart([trace], 0, "sigma", "sigma").write(tmp_path / "sigma.png").is_file()
+        assert parameter_chart([trace], 0, "sigma", "m").write(tmp_path / "sigma.png").is_file()
 
 
 @pytest.mark.parametrize("in_plane", [True, False])

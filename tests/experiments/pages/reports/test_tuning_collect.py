@@ -31,7 +31,7 @@ def run():
     issues = [IdentifiabilityIssue((PATTERNS[0],), "an issue")]
     data = FitData(group.tracker, parse_objective(NLL), NLL, group.planar, 3, training, held_out, "recordings")
     collected = collect(result, data, NLL, intervals_of(result), issues)
-    return result, replace(collected, command="trackwright tune a b", tracker="fix-kf")
+    return result, replace(collected, tracker="fix-kf")
 
 
 def test_parameters_are_those_of_the_fit_and_one_with_an_issue_is_not_determined(run):
@@ -47,7 +47,8 @@ def test_parameters_are_those_of_the_fit_and_one_with_an_issue_is_not_determined
 
 def test_the_metrics_of_the_objective_are_those_of_the_fit(run):
     result, data = run
-    before, after = data.metric(NLL).training
+    (metric,) = (metric for metric in data.metrics if metric.key == NLL)
+    before, after = metric.training
     # single precision, rows added in another order
     assert (before, after) == pytest.approx((result.start_value, result.value), rel=1e-4)
     assert {s.key for s in data.metrics} == {"nll", "rmse", "rmse-3d", "state-nll"}
@@ -57,7 +58,6 @@ def test_recordings_tuned_on_and_held_out_are_kept_apart(run):
     _, data = run
     assert data.training == ("a", "b")
     assert data.held_out == ("c", "d")
-    assert data.evaluated_on == "held-out recordings"
     assert [len(np.unique(side.trajectory)) for side in data.innovations] == [2, 2]
 
 
