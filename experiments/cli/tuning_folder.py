@@ -31,8 +31,7 @@ from trackwright.experiments.pages.reports.before_after import (
     with_truth,
 )
 from trackwright.experiments.pages.reports.pages import write_page
-from trackwright.experiments.pages.reports.tuning import tuning_page
-from trackwright.experiments.pages.reports.tuning_data import collect, recording_names, traces_of
+from trackwright.experiments.pages.reports.tuning import collect, recording_names, traces_of, tuning_page
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import spec_of

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import NullLocator
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, short
 from trackwright.experiments.monte_carlo.results import Results
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
-from trackwright.experiments.pages.charts.style import HEIGHT, INK, LINES, Chart, literal, plain
+from trackwright.experiments.pages.charts.style import HEIGHT, INK, LINES, Chart, literal, logarithmic, plain
 from trackwright.experiments.text.expectations import Value
 from trackwright.experiments.text.wording import Unit, heading, unit_of
 from trackwright.trackers.evaluation.metrics import ERROR_KINDS, METRICS
@@ -75,11 +75,7 @@ class _Drawn(NamedTuple):
         pooled = np.concatenate(list(self.values.values()))
         low, high = np.nanmin(pooled), np.nanmax(pooled)
         if low > 0 and high >= DECADES * low:
-            axes.set(**{f"{which}scale": "log"})
-            axis = axes.xaxis if which == "x" else axes.yaxis
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_locator(NullLocator())
+            logarithmic(axes, which)
         elif which == "x":
             axes.set_xlim(0, 1.04 * max(self.target or 0.0, float(high)))
         else:

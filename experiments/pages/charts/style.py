@@ -21,6 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from trackwright.experiments.pages.charts.plotly_figure import plotly_figure
 from trackwright.experiments.pages.reports.pages import script_json
@@ -200,6 +201,15 @@ def plain(axes: Axes, grid: str = "y") -> None:
         axes.grid(visible=True, axis=grid)  # type: ignore[arg-type]
     axes.spines["left"].set_visible(False)
     axes.tick_params(left=False)
+
+
+def logarithmic(axes: Axes, which: str) -> None:
+    """Makes the axis x or y logarithmic, with round numbers at its ticks."""
+    axes.set(**{f"{which}scale": "log"})
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=8))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
 
 
 def literal(text: str) -> str:

@@ -17,7 +17,6 @@ from trackwright.experiments.pages.charts import style
 from trackwright.experiments.pages.charts.distributions import draw_autocorrelation, draw_nis, law_of
 from trackwright.experiments.pages.charts.figures import plot_tracks
 from trackwright.experiments.pages.charts.floor import TRUTH
-from trackwright.experiments.pages.charts.objective import sweep_plot
 from trackwright.experiments.pages.charts.recording import (
     _inflation,
     bearing_over_time,
@@ -35,9 +34,15 @@ from trackwright.experiments.pages.charts.style import (
     Chart,
     broken_at_gaps,
 )
-from trackwright.experiments.pages.charts.tuning import error_charts, objective_chart, parameter_chart, rmse_chart
+from trackwright.experiments.pages.charts.tuning import (
+    OptimiserTrace,
+    error_charts,
+    objective_chart,
+    parameter_chart,
+    rmse_chart,
+    sweep_plot,
+)
 from trackwright.experiments.pages.reports.before_after import ErrorTrack
-from trackwright.experiments.pages.reports.tuning_data import OptimiserTrace
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Station
@@ -267,13 +272,13 @@ def test_the_band_of_white_noise_is_that_of_the_pairs_of_rows_after_the_fit(tmp_
     assert (band.get_y(), band.get_y() + band.get_height()) == pytest.approx((-0.196, 0.196))
 
 
-@pytest.mark.parametrize(("largest", "ticks"), [(50.0, [1, 3, 10, 30]), (200.0, [1, 10, 100])])
-def test_a_tuning_trace_has_three_round_ticks_at_least(figures, largest, ticks):
+@pytest.mark.parametrize("largest", [1.6, 3.0, 50.0, 200.0, 1e6])
+def test_a_tuning_trace_has_three_round_ticks_at_least(figures, largest):
     trace = OptimiserTrace(T, np.geomspace(1.0, largest, len(T))[:, None])
     assert parameter_chart([trace], 0, "motion.sigma_a", "m/s²").address
     (axes,) = figures[0].axes
     low, high = axes.get_ylim()
-    assert [tick for tick in axes.get_yticks() if low <= tick <= high] == pytest.approx(ticks)
+    assert len([tick for tick in axes.get_yticks() if low <= tick <= high]) >= 3
 
 
 def test_the_tuning_trace_takes_one_iteration_and_one_without_a_value(tmp_path):

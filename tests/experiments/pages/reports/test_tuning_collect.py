@@ -7,7 +7,7 @@ import pytest
 
 import trackwright as tw
 from tests.experiments.pages.reports.tuning_report_data import walk
-from trackwright.experiments.pages.reports.tuning_data import _parameters, _runs, collect
+from trackwright.experiments.pages.reports.tuning import _parameters, _runs, collect
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.tuning.data import FitData, fit_data

@@ -9,16 +9,17 @@ import pytest
 from scipy import stats
 
 from tests.experiments.pages.reports.tuning_report_data import innovations, report_data
-from trackwright.experiments.pages.reports.before_after import NO_PLANS, Compared
+from trackwright.experiments.pages.reports.before_after import NO_PLANS, Compared, Verdict
 from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.tuning import (
+    MetricChange,
+    OptimiserTrace,
+    TunedParameter,
     advice_on,
     agreement,
     changed,
     tuning_page,
 )
-from trackwright.experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TunedParameter
-from trackwright.experiments.pages.reports.verdict import Verdict
 from trackwright.experiments.text.wording import number
 from trackwright.trackers.evaluation.comparison import Difference
 from trackwright.tuning.diagnostics import (

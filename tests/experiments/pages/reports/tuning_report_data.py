@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChanges
-from trackwright.experiments.pages.reports.tuning_data import (
+from trackwright.experiments.pages.reports.tuning import (
     MetricChange,
     OptimiserTrace,
     TunedParameter,
