@@ -63,7 +63,7 @@ def test_spans_are_shown_where_they_are(axes):
     axes.set(xlim=(0, 4), ylim=(0, 5))
     spans = _figure(axes)["data"]
     corners = [(min(span["x"]), max(span["x"]), min(span["y"]), max(span["y"])) for span in spans]
-    assert corners == [(1, 1.5, 0, 5), (0, 4, 2, 3)]
+    np.testing.assert_allclose(corners, [(1, 1.5, 0, 5), (0, 4, 2, 3)], atol=1e-12)
     assert [span["name"] for span in spans if span["showlegend"]] == ["times"]
 
 
