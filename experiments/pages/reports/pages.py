@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 CHART = '<img src="data:image/svg+xml;base64,'
 """How an image of a chart begins in a page."""
 
-WIDE = 132
-"""Characters a line of a table from which intervals are put below their values instead of beside them."""
-
 
 def page(template: str, command: Sequence[str] = (), **content: Any) -> str:
     """The page of a template; all text is escaped. Its charts can be zoomed and moved, and show their numbers.
@@ -75,10 +72,6 @@ def _cell(text: str) -> str | Markup:
     return text if match is None else Markup('{} <span class="interval">{}</span>').format(*match.groups())
 
 
-def _is_wide(rows: Sequence[Sequence[str]]) -> bool:
-    return sum(max(map(len, column)) + 3 for column in zip(*rows, strict=True)) > WIDE
-
-
 def _environment() -> Environment:
     # It takes a while to import, which a run without a page need not wait for.
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -87,7 +80,7 @@ def _environment() -> Environment:
         loader=PackageLoader("trackwright.experiments.pages"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    made.filters |= {"cell": _cell, "is_wide": _is_wide}
+    made.filters["cell"] = _cell
     made.globals["plotting_script"] = _plotting_script
     return made
 

@@ -151,13 +151,7 @@ def _sections(data: TuningReportData) -> Iterator[Section]:
     yield Section("Settings", parts=[settings, *data.notes])
     yield _parameters_section(data)
     if data.compared is not None:
-        about, head = data.compared.about, data.compared.head
-        lead = (
-            "Before → after, tracked as by the command track; figures as in evaluate. Regret: nats of the log density "
-            "that the scale of the covariances loses."
-        )
-        looks = dict.fromkeys(head[1:], "after")
-        yield Section(about.capitalize(), head, data.compared.rows, 1, lead, looks, data.compared.statements)
+        yield data.compared.section
     lead = (
         "Tracks with the noise levels before and after the fit, tracked as by the command track. Circle: start, "
         "square: end. The 95 % ellipses before and after are of the same times."

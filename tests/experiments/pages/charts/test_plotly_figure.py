@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from tests.experiments.pages.charts.small_runs import chart_data
@@ -38,12 +37,6 @@ def test_lines_keep_their_numbers_names_and_gaps(axes):
         [0, 3],
         True,
     )
-
-
-def test_strokes_of_nothing_are_left_out(axes):
-    axes.add_collection(LineCollection([]))
-    axes.plot(X, X)
-    assert len(_figure(axes)["data"]) == 1
 
 
 def test_bands_histograms_and_lines_across_keep_their_places(axes):

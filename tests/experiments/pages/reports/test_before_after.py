@@ -108,13 +108,6 @@ def test_ellipses_before_and_after_are_of_the_same_times_and_hold_95_percent(thr
     assert times[0] == times[1]
 
 
-def test_the_plan_includes_the_anchors(three):
-    chart = chart_data(plan_chart(three[2].shown[1]).address)
-    (mark,) = (t for t in chart["data"] if t.get("marker", {}).get("symbol") == "triangle-up")
-    assert (mark["x"], mark["y"]) == ([0.0], [0.0])
-    assert [(a["x"], a["y"], a["text"]) for a in chart["layout"]["annotations"]] == [(0.0, 0.0, "A")]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1300, 400])
 def test_the_plans_are_drawn_in_a_browser(three, tmp_path, width):
@@ -256,10 +249,3 @@ def test_a_recording_without_truth_has_no_errors(walks):
     blind = next(row for row in found.rows if row[0] == "blind")
     assert blind[1:5] == ("– → –",) * 4
     assert "–" not in blind[5]
-
-
-def test_recordings_tracked_beside_those_shown_change_nothing(walks):
-    folders, trackers = walks
-    sides = _both(trackers, folders)
-    found, alone = (compare(x, folders[:1], 2, "a") for x in (sides, _both(trackers, folders[:1])))
-    assert found[:4] == alone[:4]
