@@ -333,7 +333,7 @@ def collect(
         objective_about=_about(objective, "rad" if angles else "m"),
         training=recording_names(training),
         held_out=recording_names(held_out),
-        parameters=_parameters(result, intervals, issues, runs[1]),
+        parameters=tuned_parameters(result, intervals, issues, runs[1]),
         metrics=(*own, *_metrics(trackers, rows, weights, quantity, data.dimensions)),
         traces=traces_of(result),
         surface=surface_of(result),
@@ -378,12 +378,13 @@ def _metrics(
     return tuple(metrics)
 
 
-def _parameters(
+def tuned_parameters(
     result: FitResult,
     intervals: Mapping[str, Interval],
-    issues: Sequence[IdentifiabilityIssue],
+    issues: Sequence[IdentifiabilityIssue] = (),
     runs: Sequence[tuple[Trajectory, Estimates]] = (),
 ) -> tuple[TunedParameter, ...]:
+    """The numbers that a fit tuned; `intervals`: 95 %, by label; `runs`: recordings tracked with the result."""
     undetermined = {name for issue in issues for name in issue.names}
     names = component_names(result.parameters)
     units = [p.example.unit for p in result.parameters for _ in range(p.size)]

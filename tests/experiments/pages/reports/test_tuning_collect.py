@@ -7,7 +7,7 @@ import pytest
 
 import trackwright as tw
 from tests.experiments.pages.reports.tuning_report_data import walk
-from trackwright.experiments.pages.reports.tuning import _parameters, _runs, collect
+from trackwright.experiments.pages.reports.tuning import _runs, collect, tuned_parameters
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.tuning.data import FitData, fit_data
@@ -81,8 +81,8 @@ def test_the_surface_is_least_at_the_optimum(run):
 
 def test_without_any_interval_it_is_unknown_what_is_determined(run):
     result, _ = run
-    assert [n.determined for n in _parameters(result, {}, [])] == [None, None]
-    assert [n.determined for n in _parameters(result, {}, [IdentifiabilityIssue((PATTERNS[0],), "an issue")])] == [
+    assert [n.determined for n in tuned_parameters(result, {}, [])] == [None, None]
+    assert [n.determined for n in tuned_parameters(result, {}, [IdentifiabilityIssue((PATTERNS[0],), "an issue")])] == [
         False,
         None,
     ]
@@ -93,7 +93,7 @@ def test_the_spread_of_readings_that_a_heavy_tail_implies_is_said():
     folder = tw.simulate.ranges(n=1, seed=3, rows=40).folder()
     data = fit_data(tw.build("uwb", folder).only_batch([folder]), NLL)
     result = fit(data.tracker, data.rows(), data.objective, ("sensors.ranges.sigma_r",), FitOptions(steps=1, starts=1))
-    (parameter,) = _parameters(result, {}, [], _runs(result.tracker, data.training))
+    (parameter,) = tuned_parameters(result, {}, [], _runs(result.tracker, data.training))
     model, measured = parameter.spread.split("; measured about the estimates: 68 % within ± ")
     assert model.startswith("by the model: 68 % of the readings within ± 0.")
     truth, ranges = (folder.tables[name].drop_nulls() for name in ("truth", "ranges"))
