@@ -10,7 +10,8 @@ from typing import get_args
 import trackwright as tw
 from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.experiments.lab.validation.sites import read, recordings
-from trackwright.experiments.pages.reports.before_after import judge, tracked
+from trackwright.experiments.pages.reports.before_after import tracked
+from trackwright.experiments.pages.reports.verdict import judge
 from trackwright.trackers.evaluation.evaluate import evaluate_association
 from trackwright.tuning.priors import Kind
 

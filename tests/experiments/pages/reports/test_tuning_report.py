@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from tests.experiments.pages.reports.tuning_report_data import innovations, report_data
-from trackwright.experiments.pages.reports.before_after import NO_PLANS, Compared, Verdict
+from trackwright.experiments.pages.reports.before_after import NO_PLANS, Compared
 from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.tuning import (
     MetricChange,
@@ -19,6 +19,7 @@ from trackwright.experiments.pages.reports.tuning import (
     agreement,
     tuning_page,
 )
+from trackwright.experiments.pages.reports.verdict import Verdict
 from trackwright.experiments.text.wording import number
 from trackwright.trackers.evaluation.comparison import Difference
 from trackwright.tuning.diagnostics import (

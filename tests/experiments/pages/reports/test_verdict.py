@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 from scipy.stats import multivariate_normal
 
-from trackwright.experiments.pages.reports.before_after import judge
+from trackwright.experiments.pages.reports.verdict import judge
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.recordings.folder import RecordingFolder
