@@ -11,7 +11,6 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -147,20 +146,15 @@ class Chart(NamedTuple):
 
         Raises UnusableInput where it can't be written.
         """
+        kind = Path(path).suffix[1:]
+        options: dict[str, Any] = {"pil_kwargs": {"compress_level": COMPRESSION}} if kind == "png" else {}
         with _styled():
-            size, dpi = (self.width, self.height or HEIGHT), STYLE["savefig.dpi"]
-            figure = Figure(figsize=size, dpi=dpi, facecolor="white", layout="constrained")
-            write: Callable[[Path], object] = partial(
-                FigureCanvasAgg(figure).print_png, pil_kwargs={"compress_level": COMPRESSION}
-            )
+            figure = Figure(figsize=(self.width, self.height or HEIGHT), facecolor="white", layout="constrained")
+            FigureCanvasAgg(figure)
             title = literal(self.title)
             if title not in self._drawn(figure).get_title("left"):
                 figure.suptitle(title, x=0.02, ha="left", fontsize=11, fontweight="bold")
-            if Path(path).suffix == ".pdf":
-                from matplotlib.backends.backend_pdf import FigureCanvasPdf
-
-                write = partial(FigureCanvasPdf(figure).print_pdf)
-            atomic_write(path, write)
+            atomic_write(path, lambda to: figure.savefig(to, format=kind, **options))
         return Path(path)
 
     def _drawn(self, figure: Figure) -> Axes:
