@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
+from scipy.stats import binned_statistic_2d
 
 from trackwright.experiments.pages.charts.style import (
     BEFORE,
@@ -320,21 +321,15 @@ def _readings(source: Source, calibration: Calibration, axes: Axes) -> None:
 
 def _floor_charts(sources: Sequence[Source], calibration: Calibration, kind: str) -> list[Chart]:
     """Median errors after calibration over the floor, in squares, a chart for each source, all with one scale."""
-    errors = [source.errors(calibration) for source in sources]
-    seen = [np.isfinite(own) for own in errors]
-    cells = [
-        np.floor(source.pairs.positions[there, :2] / SQUARE).astype(int)
-        for source, there in zip(sources, seen, strict=True)
+    errors = [(DEGREES if source.is_angle else 1.0) * source.errors(calibration) for source in sources]
+    places = [source.pairs.positions[np.isfinite(own), :2] for source, own in zip(sources, errors, strict=True)]
+    squares = np.floor(np.concatenate(places) / SQUARE)
+    edges = [SQUARE * np.arange(x.min(), x.max() + 2) for x in squares.T]
+    medians = [
+        binned_statistic_2d(*place.T, own[np.isfinite(own)], "median", edges).statistic
+        for place, own in zip(places, errors, strict=True)
     ]
-    first, last = (limit(np.concatenate(cells), axis=0) for limit in (np.min, np.max))
-    medians = []
-    for source, own, there, cell in zip(sources, errors, seen, cells, strict=True):
-        median = np.full(last - first + 1, np.nan)
-        for one in np.unique(cell, axis=0):
-            median[tuple(one - first)] = np.median(own[there][(cell == one).all(axis=1)])
-        medians.append((DEGREES if source.is_angle else 1.0) * median)
     largest = float(np.nanquantile(np.abs(np.concatenate([m.ravel() for m in medians])), 0.97)) or 1.0
-    edges = [SQUARE * np.arange(low, high + 2) for low, high in zip(first, last, strict=True)]
 
     def draw(axes: Axes, source: Source, median: np.ndarray) -> None:
         mesh = axes.pcolormesh(*edges, median.T, cmap="RdBu_r", norm=Normalize(-largest, largest))

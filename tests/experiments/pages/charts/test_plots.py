@@ -16,7 +16,6 @@ from tests.experiments.pages.reports.small_tracks import small_bearings, small_t
 from trackwright.experiments.pages.charts import style
 from trackwright.experiments.pages.charts.distributions import draw_autocorrelation, draw_nis, law_of
 from trackwright.experiments.pages.charts.figures import plot_tracks
-from trackwright.experiments.pages.charts.floor import TRUTH
 from trackwright.experiments.pages.charts.recording import (
     _inflation,
     bearing_over_time,
@@ -28,8 +27,6 @@ from trackwright.experiments.pages.charts.recording import (
     nis_over_time,
 )
 from trackwright.experiments.pages.charts.style import (
-    GREY,
-    LINES,
     VERMILION,
     Chart,
     broken_at_gaps,
@@ -45,7 +42,7 @@ from trackwright.experiments.pages.charts.tuning import (
 from trackwright.experiments.pages.reports.before_after import ErrorTrack
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.rig import Rig, Station
+from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.evaluation.association import associate_truth
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -145,18 +142,6 @@ def test_wild_estimates_are_counted_and_do_not_decide_the_scale_of_the__plan(tmp
     for limits in ("get_xlim", "get_ylim"):
         tame, spoiled = (getattr(figure.axes[0], limits)() for figure in figures[::-1])
         np.testing.assert_allclose(spoiled, tame, atol=0.1)
-
-
-def test_walls_are_drawn_below_truth_and_truth_below_tracks(tmp_path, figures):
-    half = np.sqrt(0.5)
-    stations = {"N": Station(np.array([5.0, 8.0, 2.0]), np.array([half, half, 0.0, 0.0]))}
-    anchors, walls = {"A": np.array([0.0, 0.0, 2.0])}, np.array([[0.0, 3.0, 10.0, 3.0]])
-    _plan(tmp_path / "plan.png", _tracks(1), _tracks(1), walls=walls, stations=stations, anchors=anchors)
-    (axes,) = figures[0].axes
-    in_order = sorted(axes.lines, key=lambda line: line.zorder)
-    assert [line.get_color() for line in in_order[:3]] == [GREY, TRUTH, LINES[0]]
-    # The arrow of the station's boresight has no words.
-    assert {text.get_text() for text in axes.texts if not text.get_text().endswith(" s")} == {"", "A", "N"}
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import trackwright as tw
 from tests.browser import chromium, watched
 from tests.experiments.pages.charts.small_runs import chart_data
 from tests.experiments.pages.reports.tuning_report_data import report_data, walk
-from trackwright.experiments.pages.charts.tuning import PLAN_POINTS, plan_chart
+from trackwright.experiments.pages.charts.tuning import plan_chart
 from trackwright.experiments.pages.reports.before_after import MOST_PLANS, compare, track_changes, tracked
 from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.tuning import tuning_page
@@ -163,19 +163,6 @@ def test_without_truth_there_are_paths_and_no_errors():
     assert {t.rmse for t in found.shown} == {""}
     assert {"before", "after"} < set(_traces(found.shown[0])) - {"truth"}
     assert "truth" not in _traces(found.shown[0])
-
-
-def test_a_long_track_keeps_its_ends_and_its_largest_error():
-    folders = [walk("long", 6, rows=6000, sigmas=ONE)]
-    trackers, found = _run(folders)
-    path, every = (
-        _drawn(_traces(found.shown[0])["after"]),
-        trackers[1].run(folders).table.select("x_m", "y_m").to_numpy(),
-    )
-    assert len(path) <= PLAN_POINTS + 2
-    truth = folders[0].tables["truth"].select("x_m", "y_m").to_numpy()
-    for row in (0, -1, int(np.argmax(np.linalg.norm(every - truth, axis=1)))):
-        assert np.isclose(path, every[row], rtol=1e-4, atol=1e-5).all(axis=1).any()
 
 
 def test_of_directions_there_are_errors_in_degrees_and_no_plans():
