@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -191,7 +191,7 @@ def objective_chart(traces: Sequence[OptimiserTrace], title: str, selected: int 
     """The objective at every step of every start, the best first; `selected`: the one chosen, by default the last."""
 
     def draw(axes: Axes) -> None:
-        _draw_steps(axes, traces, lambda t: t.objective)
+        _draw_steps(axes, [t.objective for t in traces])
         shown = np.concatenate([t.objective for t in traces])
         shown = shown[np.isfinite(shown)]
         best, longest = float(shown.min()), max(len(t.objective) for t in traces)
@@ -220,7 +220,7 @@ def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, unit: s
     """Parameter `k` at every step of every start, on a logarithmic axis where it is positive."""
 
     def draw(axes: Axes) -> None:
-        _draw_steps(axes, traces, lambda t: t.values[:, k])
+        _draw_steps(axes, [t.values[:, k] for t in traces])
         axes.set_title(named(name, unit))
         scale_axis(axes, np.concatenate([t.values[:, k] for t in traces]), "y")
         axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
@@ -230,10 +230,10 @@ def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, unit: s
     return Chart(f"tuning-{name}", name, draw, NARROW, 0.62 * NARROW)
 
 
-def _draw_steps(axes: Axes, traces: Sequence[OptimiserTrace], take: Callable[[OptimiserTrace], np.ndarray]) -> None:
-    for k, trace in reversed(list(enumerate(traces))):
+def _draw_steps(axes: Axes, traces: Sequence[np.ndarray]) -> None:
+    for k, values in reversed(list(enumerate(traces))):
         label = {0: "best start", 1: "other starts"}.get(k)
-        axes.plot(take(trace), color=BLUE if k == 0 else PALE, linewidth=1.8 if k == 0 else 1.1, label=label)
+        axes.plot(values, color=BLUE if k == 0 else PALE, linewidth=1.8 if k == 0 else 1.1, label=label)
 
 
 def selected_step(best: OptimiserTrace, after: Sequence[float]) -> int:

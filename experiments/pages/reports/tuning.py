@@ -19,7 +19,6 @@ from trackwright.experiments.pages.reports.pages import report_page
 from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import MISSING, duration, number, percent_change, uncapitalised, yes_no
 from trackwright.trackers.core.data.estimates import Estimates
-from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.run.tracker import AbstractTracker
@@ -207,7 +206,7 @@ def _metrics_section(data: TuningReportData) -> Section:
         "errors decrease. Every row counts, as in the objective; in the table of recordings and the charts of errors, "
         "rows of the same time count once."
     )
-    sides = ["", "held out: "] if data.held_out else [""]
+    sides = ["tuned on: ", "held out: "] if data.held_out else [""]
     head = ["metric", *(side + word for side in sides for word in ("before", "after", "change"))]
     rows = []
     for m in data.metrics:
@@ -323,8 +322,6 @@ def collect(
     innovations = None if before is None or after is None else (before, after)
     # A beam in a flat array's own plane has no direction: nothing to compare with the truth.
     comparable = all(hasattr(run.mean, quantity) for of_tracker in runs for _, run in of_tracker)
-    rows = [[b if comparable else b._replace(truth={}) for b in data.rows(apart)] for apart in (False, True)]
-    weights = [data.weights(apart) for apart in (False, True)]
     # A sum of several metrics, or with priors, is a metric of its own.
     sums = [] if objective in TITLES else [(result.start_value, result.value)]
     own = [MetricChange(objective, objective, "1", pair, UNKNOWN) for pair in sums]
@@ -334,7 +331,7 @@ def collect(
         training=recording_names(training),
         held_out=recording_names(held_out),
         parameters=tuned_parameters(result, intervals, issues, runs[1]),
-        metrics=(*own, *_metrics(trackers, rows, weights, quantity, data.dimensions)),
+        metrics=(*own, *_metrics(trackers, data, quantity, comparable)),
         traces=traces_of(result),
         surface=surface_of(result),
         innovations=innovations,
@@ -357,17 +354,14 @@ def _runs(tracker: AbstractTracker, trajectories: Sequence[Trajectory]) -> list[
 
 
 def _metrics(
-    trackers: Sequence[AbstractTracker],
-    recordings: Sequence[list[Batch]],
-    weights: Sequence[Sequence[np.ndarray]],
-    quantity: str,
-    dimensions: int,
+    trackers: Sequence[AbstractTracker], data: FitData, quantity: str, comparable: bool
 ) -> tuple[MetricChange, ...]:
     """All defined metrics before and after, on the recordings tuned on and on those held out."""
-    values = [
-        [all_metrics(t, rows, quantity, dimensions, weights=of_rows) if rows else {} for t in trackers]
-        for rows, of_rows in zip(recordings, weights, strict=True)
-    ]
+    values, dimensions = [], data.dimensions
+    for apart in (False, True):
+        rows = [b if comparable else b._replace(truth={}) for b in data.rows(apart)]
+        given = rows, quantity, dimensions
+        values.append([all_metrics(t, *given, weights=data.weights(apart)) if rows else {} for t in trackers])
     unit = "rad" if quantity == "direction" else "m"
     metrics = []
     for key, (title, own_unit) in TITLES.items():
