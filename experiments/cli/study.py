@@ -53,8 +53,14 @@ def study(
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
     from trackwright.experiments.pages.charts.style import write_charts
     from trackwright.experiments.pages.reports.pages import write_page
-    from trackwright.experiments.pages.reports.study import REPORT, study_charts, study_page
-    from trackwright.experiments.pages.reports.study_text import study_names, to_json, to_text
+    from trackwright.experiments.pages.reports.study import (
+        REPORT,
+        study_charts,
+        study_names,
+        study_page,
+        to_json,
+        to_text,
+    )
     from trackwright.experiments.text.terminal import notice, progress
     from trackwright.experiments.text.wording import figures_drawn
     from trackwright.trackers.core.run.chunks import n_workers

@@ -16,7 +16,7 @@ from trackwright.experiments.cli.console import output_folder
 from trackwright.experiments.cli.options import SweepOptions
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tuning_job import tracker_for_folders
-from trackwright.experiments.pages.charts.objective import sweep_plot
+from trackwright.experiments.pages.charts.tuning import sweep_plot
 from trackwright.experiments.text.terminal import Begin
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write

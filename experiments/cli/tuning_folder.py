@@ -18,11 +18,11 @@ from trackwright.experiments.cli.console import FoldersInTurn
 from trackwright.experiments.cli.options import TuneOptions, file_format
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
-from trackwright.experiments.pages.charts.objective import named
 from trackwright.experiments.pages.charts.style import write_charts
 from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart
 from trackwright.experiments.pages.reports.before_after import (
     MOST_PLANS,
+    NO_PLANS,
     Compared,
     TrackChanges,
     compare,
@@ -31,8 +31,13 @@ from trackwright.experiments.pages.reports.before_after import (
     with_truth,
 )
 from trackwright.experiments.pages.reports.pages import write_page
-from trackwright.experiments.pages.reports.tuning import tuning_page
-from trackwright.experiments.pages.reports.tuning_data import collect, recording_names, traces_of
+from trackwright.experiments.pages.reports.tuning import (
+    collect,
+    recording_names,
+    traces_of,
+    tuned_parameters,
+    tuning_page,
+)
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import spec_of
@@ -43,6 +48,7 @@ from trackwright.tuning.data import FitData
 from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue, identifiability_issues
 from trackwright.tuning.intervals import Interval, intervals_of, left_out_blocks, left_out_values, without_intervals
+from trackwright.tuning.parameters import component_names
 from trackwright.tuning.tuned_file import tuned_content, write_tuned
 
 INTERRUPTED = 130  # the exit code of a command that Ctrl-C ended, as shells have it
@@ -63,7 +69,7 @@ def tune_folders(
         before = tracked(fitted.named, fitted.shown)
         compared = judged(fitted, before)
         begin("comparing before and after")
-        plans = None if options.figures == "none" else _plans(fitted, before)
+        plans = NO_PLANS if options.figures == "none" else _plans(fitted, before)
         begin("report")
         content = _write_run(fitted, recordings, time.perf_counter() - clock, started, compared, plans)
     if fitted.result.uncertainty is None:
@@ -120,7 +126,7 @@ def _with(fitted: Fitted, values: Mapping[str, np.ndarray]) -> NamedTracker:
 
 def _write_run(
     fitted: Fitted, recordings: Sequence[Path], seconds: float, started: datetime, compared: Compared,
-    plans: TrackChanges | None,
+    plans: TrackChanges,
 ) -> dict[str, Any]:  # fmt: skip
     """Writes all files to the folder, prints what they show, and returns the content of tuned.toml."""
     options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
@@ -153,14 +159,12 @@ def _write_run(
         known = replace(
             known,
             training=recording_names(data.training),
-            command=command,
-            next_commands=(use, command),
+            commands=(use, command),
             tracker=fitted.named.name,
             tracker_about=spec_of(fitted.named.name).about,
             seconds=seconds,
             compared=compared,
             plans=plans,
-            errors=() if plans is None else plans.errors,
             cautions=tuple(cautions),
             notes=tuple(notes),
         )
@@ -187,39 +191,22 @@ def _notes(data: FitData, result: FitResult, reported: FitData) -> Iterator[str]
 
 def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure: str | None) -> list[str]:
     """Writes the table of the steps and, where asked for, its figures; returns the names of these."""
-    trace = result.trace
-    columns: dict[str, list[float]] = {
-        objective: [s.value for s in trace],
-        "gradient_norm": [s.gradient_norm for s in trace],
-    }
-    labels: list[tuple[str, str]] = []
-    for parameter in result.parameters:
-        values = np.stack([np.asarray(s.values[parameter.label]) for s in trace])
-        parts = values.reshape(len(trace), -1)
-        for k in range(parts.shape[1]):
-            label = parameter.label + (f".{k}" if values.ndim > 1 else "")
-            columns[label] = parts[:, k].tolist()
-            labels.append((label, named(label, parameter.example.unit)))
+    traces, names = traces_of(result), component_names(result.parameters)
+    columns = {objective: traces[0].objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
+    columns |= dict(zip(names, traces[0].values.T, strict=True))
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
     if figure is None:
         return []
-    names = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
-    traces = traces_of(result)
-    charts = [parameter_chart(traces, k, *label) for k, label in enumerate(labels)]
-    return write_charts(out, [objective_chart(traces, names.get(objective, objective)), *charts], figure)
+    about = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
+    units = [p.example.unit for p in result.parameters for _ in range(p.size)]
+    charts = [parameter_chart(traces, k, *named) for k, named in enumerate(zip(names, units, strict=True))]
+    return write_charts(out, [objective_chart(traces, about.get(objective, objective)), *charts], figure)
 
 
 def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:
     """A table of the tuned parameters, and a line on the objective before and after."""
-    first = result.starts[0][0].values
-    rows: list[tuple[str, ...]] = [("tunable", "before", "after", "95 % interval", "unit")]
-    for parameter in result.parameters:
-        name, unit = parameter.label, "" if parameter.example.unit == "1" else parameter.example.unit
-        nothing = np.full(np.shape(result.values[name]), np.nan)
-        low, high = intervals.get(name, (nothing, nothing))
-        parts = zip(*(np.ravel(x) for x in (first[name], result.values[name], low, high)), strict=True)
-        for k, (before, after, a, b) in enumerate(parts):
-            label = name if np.ndim(result.values[name]) == 0 else f"{name}.{k}"
-            interval = f"{a:.4g} to {b:.4g}" if np.isfinite([a, b]).all() else "-"
-            rows.append((label, f"{before:.4g}", f"{after:.4g}", interval, unit))
+    rows = [("tunable", "before", "after", "95 % interval", "unit")]
+    for p in tuned_parameters(result, intervals):
+        interval = f"{p.low:.4g} to {p.high:.4g}" if np.isfinite(p.low) else "-"
+        rows.append((p.name, f"{p.before:.4g}", f"{p.after:.4g}", interval, "" if p.unit == "1" else p.unit))
     return f"{aligned(rows)}\n{objective}: {result.start_value:.5g} -> {result.value:.5g}"

@@ -14,7 +14,7 @@ from trackwright.experiments.cli.console import FoldersInTurn, notice_unused_cal
 from trackwright.experiments.cli.options import TrackerOptions, TuneOptions
 from trackwright.experiments.cli.tracking import mirror_lines
 from trackwright.experiments.pages.reports.before_after import MOST_PLANS
-from trackwright.experiments.pages.reports.tuning_data import recording_names
+from trackwright.experiments.pages.reports.tuning import recording_names
 from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.core.errors import UnusableInput, listed

@@ -7,7 +7,7 @@ import shutil
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rich import box
 from rich.console import Console, RenderableType
@@ -36,17 +36,19 @@ def ruled_table(title: str, columns: Sequence[str], n_text: int = 1, rows: Itera
 
 
 class Section(NamedTuple):
-    """A table of a report, for a terminal and for a page: title, head, rows and a note; `n_text` columns are text.
+    """A part of a report, for a terminal and a page: title, table and note; the first `n_text` columns are text.
 
-    `looks`: classes of columns on a page by their heads, as in the template `parts.html`.
+    `looks`: classes of columns on a page by their heads, as in the template `parts.html`. `parts`: what follows on a
+    page alone: texts, names with texts, tables as sections, and groups of charts.
     """
 
     title: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    head: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = ()
     n_text: int = 1
     note: str = ""
     looks: Mapping[str, str] = {}
+    parts: Sequence[Any] = ()
 
     @property
     def classes(self) -> list[str]:

@@ -1,7 +1,7 @@
 """Standard error: notices, and the stages of a command as bars on a terminal, as lines at intervals in a pipe.
 
 A stage is named when it begins. `compiling` is no stage of a command but of jax, which reports when XLA has a program
-to compile and when that is done; it has a row of its own.
+to compile and when that is done.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import io
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout
-from dataclasses import dataclass, field
-from threading import Event, Lock, Thread
+from functools import cache
+from threading import Event, Thread
 from time import monotonic
 from typing import Any, Protocol
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from trackwright.trackers.core.errors import one_line
 
@@ -25,8 +25,8 @@ ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
 FIRST_LINE, LAST_INTERVAL = 10.0, 60.0
 """Seconds to the first line in a pipe, and between later ones at most; the interval doubles from the first."""
 
-LOWERED, COMPILED = "jaxpr_to_mlir_module_duration", "backend_compile_duration"
-"""Ends of the names of jax's events before and after XLA compiles a program."""
+COMPILING: list[float] = []
+"""When the programs that XLA compiles at present were begun."""
 
 
 def notice(text: str) -> None:
@@ -46,95 +46,63 @@ class Begin(Protocol):
     def __call__(self, name: str, total: int | None = None) -> Advance: ...
 
 
-@dataclass
-class Compilation:
-    """The programs that XLA compiles at present, how many it has compiled, and the seconds that took."""
-
-    begun: list[float] = field(default_factory=list)
-    done: int = 0
-    seconds: float = 0.0
-    lock: Lock = field(default_factory=Lock)
-    listening: bool = False
-
-    def listen(self) -> None:
-        """Hear of jax's events, once jax is imported."""
-        if not self.listening and "jax.monitoring" in sys.modules:
-            sys.modules["jax.monitoring"].register_event_duration_secs_listener(self.heard)
-            self.listening = True
-
-    def heard(self, event: str, seconds: float, **about: Any) -> None:
-        """One event of jax, whose duration has ended."""
-        with self.lock:
-            if event.endswith(LOWERED):
-                self.begun.append(monotonic())
-            elif event.endswith(COMPILED):
-                self.done, self.seconds = self.done + 1, self.seconds + seconds
-                del self.begun[:1]
-
-    def now(self) -> str:
-        """What is compiled at present, in words; empty for nothing."""
-        with self.lock:
-            return f"compiling {monotonic() - self.begun[0]:.0f} s" if self.begun else ""
+def _heard(event: str, seconds: float, **about: Any) -> None:
+    """One event of jax, whose duration has ended."""
+    if event.endswith("jaxpr_to_mlir_module_duration"):
+        COMPILING.append(monotonic())
+    elif event.endswith("backend_compile_duration"):
+        del COMPILING[:1]
 
 
-COMPILATION = Compilation()
+@cache
+def _listen(monitoring: Any) -> None:
+    monitoring.register_event_duration_secs_listener(_heard)
+
+
+def _compiling() -> str:
+    """What is compiled at present, in words; empty for nothing. Hears of jax's events once jax is imported."""
+    if "jax.monitoring" in sys.modules:
+        _listen(sys.modules["jax.monitoring"])
+    return "".join(f"compiling {monotonic() - since:.0f} s" for since in COMPILING[:1])
 
 
 class Stages:
-    """The stages begun so far, and their bars."""
+    """The stages of a command and their bars; the last one is the present one."""
 
     def __init__(self, what: str, bars: Progress) -> None:
-        self.what, self.bars = what, bars
-        self.task: TaskID | None = None
-        self.compiling: TaskID | None = None
-        self.name, self.done, self.note, self.since = "", 0, "", monotonic()
+        self.what, self.bars, self.name = what, bars, ""
         self.total: int | None = None
+        self.done, self.note, self.since = 0, "", monotonic()
         # A program that was lowered before and never compiled, as for an export, is none of this command's.
-        COMPILATION.begun.clear()
-        self.compiled_before = COMPILATION.done, COMPILATION.seconds
+        COMPILING.clear()
 
     def begin(self, name: str, total: int | None = None) -> Advance:
         """As `Begin`."""
-        COMPILATION.listen()
-        self.end()
+        if self.bars.tasks:
+            self.draw(max(self.done, 1), total=max(self.done, 1), description=self.name)
         self.name, self.total, self.done, self.note, self.since = name, total, 0, "", monotonic()
-        task = self.task = self.bars.add_task(name, total=total, count=self.count())
+        self.bars.add_task(name, total=total, count=self.count)
 
         def advance(done: int, now: str = "") -> None:
             self.done, self.note = self.done + done, now
-            self.bars.update(task, advance=done, count=self.count(), description=f"{name} {now}" if now else name)
+            self.draw(self.done)
 
         return advance
 
-    def end(self) -> None:
-        """Stops the clock of the present stage."""
-        if self.task is not None:
-            done = max(self.done, 1)
-            self.bars.update(self.task, total=done, completed=done, description=self.name)
+    def draw(self, done: int, **more: Any) -> None:
+        """Draws the bar of the present stage."""
+        words = " ".join(filter(None, (self.name, self.note, _compiling())))
+        self.bars.update(self.bars.tasks[-1].id, completed=done, count=self.count, **{"description": words} | more)
 
-    def update_compiling(self) -> None:
-        """Draws the row of jax's compilations, if there have been any."""
-        COMPILATION.listen()
-        done, seconds = (
-            a - b for a, b in zip((COMPILATION.done, COMPILATION.seconds), self.compiled_before, strict=True)
-        )
-        words = COMPILATION.now() or (f"compiled {done} program{'s'[: done != 1]} in {seconds:.0f} s" if done else "")
-        if not words:
-            return
-        if self.compiling is None:
-            self.compiling = self.bars.add_task(words, total=None, count="")
-        done_bar = None if COMPILATION.begun else 1
-        self.bars.update(self.compiling, description=words, total=done_bar, completed=done_bar)
-
+    @property
     def count(self) -> str:
         """How much of the stage is done; empty where its total is unknown."""
         return "" if self.total is None else f"{self.done} of {self.total}"
 
     def line(self) -> str:
         """The present stage as a line for a pipe."""
-        stage, seconds = f"{self.name} {self.count()}".rstrip(), f"{monotonic() - self.since:.0f} s"
-        words = [stage, seconds, COMPILATION.now(), self.note]
-        return f"{self.what}: {', '.join(x for x in words if x)}"
+        words = [f"{self.name} {self.count}".rstrip(), f"{monotonic() - self.since:.0f} s", _compiling(), self.note]
+        return f"{self.what}: {', '.join(filter(None, words))}"
 
 
 @contextmanager
@@ -161,16 +129,14 @@ def stages(what: str) -> Iterator[Begin]:
 
 
 def _watch(shown: Stages, ended: Event, terminal: bool) -> None:
-    """Keeps the row of compilations up to date, or prints lines at intervals, until the command ends."""
-    if terminal:
-        while not ended.wait(0.25):
-            shown.update_compiling()
-        return
-    interval = FIRST_LINE
+    """Keeps the bar up to date, or prints lines at intervals, until the command ends."""
+    interval = 0.25 if terminal else FIRST_LINE
     while not ended.wait(interval):
-        if shown.name:
+        if shown.name and terminal:
+            shown.draw(shown.done)
+        elif shown.name:
             ERRORS.print(shown.line(), markup=False)
-        interval = min(2 * interval, LAST_INTERVAL)
+        interval = interval if terminal else min(2 * interval, LAST_INTERVAL)
 
 
 @contextmanager

@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle, StepPatch
 from matplotlib.text import Annotation
-from matplotlib.ticker import PercentFormatter
 
 SYMBOLS = {"o": "circle", ".": "circle", "s": "square", "^": "triangle-up", "v": "triangle-down", "D": "diamond",
            "P": "cross", "X": "x", "|": "line-ns-open"}  # fmt: skip
@@ -35,12 +34,12 @@ def plotly_figure(figure: Figure) -> dict[str, Any] | None:
     if len(figure.axes) != 1 or any(isinstance(c, ContourSet) for c in figure.axes[0].collections):
         return None
     axes = figure.axes[0]
+    axes.autoscale_view()
     parts = [*axes.collections, *axes.patches, *axes.lines, *axes.images, *axes.tables, *axes.artists]
     traces = [trace for part in parts for trace in _traces(axes, part)]
     traces.sort(key=lambda trace: trace.pop("order"))
-    title = axes.get_title("left")
     layout: dict[str, Any] = {
-        "title": _plain(title),
+        "title": _plain(axes.get_title("left")),
         "xaxis": _axis(axes.xaxis, axes.get_xlim(), axes.get_xscale(), axes.get_xlabel()),
         "yaxis": _axis(axes.yaxis, axes.get_ylim(), axes.get_yscale(), axes.get_ylabel()),
         "showlegend": axes.get_legend() is not None or bool(figure.legends),
@@ -73,27 +72,19 @@ def _traces(axes: Axes, part: Any) -> Iterator[dict[str, Any]]:
             line = {"color": _colour(part.get_color()[0]), "width": 2}
             yield named | {"x": x, "y": y, "mode": "lines", "line": line, "hoverinfo": "skip"}
     # Those with offsets are arrows or hexagons.
-    elif isinstance(part, PolyCollection) and not np.any(np.asarray(part.get_offsets())):
-        for path in part.get_paths():
-            corners = np.array(path.vertices, float)
-            yield named | _filled(_numbers(corners[:, 0]), _numbers(corners[:, 1]), part.get_facecolor()[0])
-    elif isinstance(part, StepPatch):
-        heights, edges, _ = part.get_data()
-        x, y = _numbers(np.repeat(edges, 2)), _numbers(np.concatenate([[0.0], np.repeat(heights, 2), [0.0]]))
-        if part.get_fill():
-            yield named | _filled(x, y, part.get_facecolor()) | {"hoverinfo": "x+y"}
-        else:
-            line = {"color": _colour(part.get_edgecolor()), "width": part.get_linewidth()}
-            yield named | {"x": x, "y": y, "mode": "lines", "line": line}
-    elif isinstance(part, Rectangle):
-        (left, bottom), (right, top) = part.get_bbox().get_points().tolist()
+    elif isinstance(part, (Rectangle, StepPatch)) or (
+        isinstance(part, PolyCollection) and not np.any(np.asarray(part.get_offsets()))
+    ):
+        paths = part.get_paths() if isinstance(part, PolyCollection) else [part.get_path()]
+        steps = isinstance(part, StepPatch)
+        outline = {"line": {"color": _colour(part.get_edgecolor()), "width": part.get_linewidth()}} if steps else {}
+        filled = {"fill": "toself", "fillcolor": _colour(np.ravel(part.get_facecolor())), "line": {"width": 0},
+                  "hoverinfo": "x+y" if steps else "skip"}  # fmt: skip
         # Bands across the axes have shares of them in one coordinate.
-        if part.get_data_transform() == axes.get_yaxis_transform():
-            left, right = axes.get_xlim()
-        if part.get_data_transform() == axes.get_xaxis_transform():
-            bottom, top = axes.get_ylim()
-        x, y = _numbers([left, right, right, left]), _numbers([bottom, bottom, top, top])
-        yield named | _filled(x, y, part.get_facecolor())
+        to_data = part.get_transform() - axes.transData
+        for corners in (np.asarray(of, float) for path in paths for of in path.to_polygons(to_data, closed_only=False)):
+            look = outline if steps and not part.get_fill() else filled
+            yield named | {"x": _numbers(corners[:, 0]), "y": _numbers(corners[:, 1]), "mode": "lines"} | look
     else:
         raise _unshown(axes, f"{type(part).__name__} {label!r}", SHOWN)
 
@@ -104,30 +95,23 @@ def _unshown(axes: Axes, what: str, expected: str) -> TypeError:
 
 
 def _line(axes: Axes, line: Line2D) -> dict[str, Any]:
-    x, y = (np.array(values, float) for values in line.get_data(orig=False))
     # Lines across the axes have shares of them in one coordinate.
-    if line.get_transform() == axes.get_yaxis_transform():
-        x = np.asarray(axes.get_xlim())
-    if line.get_transform() == axes.get_xaxis_transform():
-        y = np.asarray(axes.get_ylim())
+    x, y = (line.get_transform() - axes.transData).transform(np.asarray(line.get_xydata(), float)).T
     marker, dash = str(line.get_marker()), str(line.get_linestyle())
     if marker not in (*SYMBOLS, "None", "none", "", " "):
         raise _unshown(axes, f"marker {marker!r} of {line.get_label()!r}", " ".join(SYMBOLS))
     drawn = ["lines"] * (dash in DASHES) + ["markers"] * (marker in SYMBOLS)
-    face = line.get_markerfacecolor()
-    # Filled with white, or not at all.
-    open_face = to_rgba(face)[3] == 0.0 or to_rgba(face) == (1.0, 1.0, 1.0, 1.0)
     trace: dict[str, Any] = {"x": _numbers(x), "y": _numbers(y), "mode": "+".join(drawn) or "none"}
     trace["line"] = {"color": _colour(line.get_color(), line.get_alpha()), "width": line.get_linewidth(),
                      "dash": DASHES.get(dash, "dot")}  # fmt: skip
-    if "markers" in drawn:
+    if marker in SYMBOLS:
+        face = line.get_markerfacecolor()
+        # Filled with white, or not at all.
+        open_face = to_rgba(face)[3] == 0.0 or to_rgba(face) == (1.0, 1.0, 1.0, 1.0)
         colour = _colour(line.get_color() if open_face else face, line.get_alpha())
         size = line.get_markersize() * (0.6 if marker == "." else 1.0)
-        trace["marker"] = {
-            "symbol": SYMBOLS[marker] + ("-open" if open_face else ""),
-            "size": size + 1,
-            "color": colour,
-        }
+        symbol = SYMBOLS[marker] + "-open" * open_face
+        trace["marker"] = {"symbol": symbol, "size": size + 1, "color": colour}
     return trace
 
 
@@ -141,19 +125,12 @@ def _label(axes: Axes, text: Annotation) -> dict[str, Any]:
             "xanchor": text.get_horizontalalignment(), "yshift": shift, "font": font}  # fmt: skip
 
 
-def _filled(x: list[float | None], y: list[float | None], colour: Any) -> dict[str, Any]:
-    return {"x": x, "y": y, "mode": "lines", "fill": "toself", "fillcolor": _colour(colour), "line": {"width": 0},
-            "hoverinfo": "skip"}  # fmt: skip
-
-
 def _axis(axis: Axis, limits: tuple[float, float], scale: str, label: str) -> dict[str, Any]:
     """Title, range, kind and, where the ticks are names, their texts."""
     settings: dict[str, Any] = {"title": {"text": _plain(label)}, "zeroline": False}
     settings["range"] = [float(f"{x:.6g}") for x in (np.log10(limits) if scale == "log" else limits)]
-    formatter, texts = axis.get_major_formatter(), [label.get_text() for label in axis.get_ticklabels()]
-    if isinstance(formatter, PercentFormatter):
-        settings["tickformat"] = ".0%"
-    elif scale == "log" or any(c.isalpha() for c in "".join(texts)):
+    texts = [label.get_text() for label in axis.get_ticklabels()]
+    if scale == "log" or any(c.isalpha() for c in "".join(texts)):
         settings |= {"tickvals": _numbers(axis.get_majorticklocs()), "ticktext": [_plain(text) for text in texts]}
     if scale == "log":
         settings["type"] = "log"

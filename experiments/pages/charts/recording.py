@@ -11,7 +11,6 @@ from inspect import isfunction
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import NullLocator
 
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions, draw_nis, law_of
 from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan, natural, track_paths, true_path
@@ -25,6 +24,7 @@ from trackwright.experiments.pages.charts.style import (
     broken_at_gaps,
     legend_above,
     literal,
+    logarithmic,
 )
 from trackwright.experiments.pages.scored_tracks import (
     AnyEstimates,
@@ -276,9 +276,7 @@ def _consistency(
     # The first rows, with the covariance of the start, do not set the axis.
     least, largest = np.quantile(ratio, (0.02, 0.98))
     if largest > 5 or least < 0.1:
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_locator(NullLocator())
+        logarithmic(axes, "y")
     bottom, top = np.median(band, axis=1)
     axes.set(ylim=(0.8 * max(min(least, bottom), 1e-3), 1.25 * max(largest, top)), xlim=_ends(at))
     text = f"mean {total.sum() / freedom.sum():.2f}, 1 expected{f' ({law})' if law else ''}"

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import NullLocator
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, short
 from trackwright.experiments.monte_carlo.results import Results
 from trackwright.experiments.pages.charts.distributions import Curve, draw_distributions
-from trackwright.experiments.pages.charts.style import HEIGHT, INK, LINES, Chart, literal, plain
+from trackwright.experiments.pages.charts.style import HEIGHT, INK, LINES, Chart, literal, logarithmic, plain
 from trackwright.experiments.text.expectations import Value
 from trackwright.experiments.text.wording import Unit, heading, unit_of
 from trackwright.trackers.evaluation.metrics import ERROR_KINDS, METRICS
@@ -57,8 +57,8 @@ def metric_chart(
     title = words[0].upper() + words[1:] + (f", {unit.name}" if unit.name else "")
     drawn = _Drawn(results, values, limits, title, None if right is None else right * unit.factor)
     if along is None:
-        return Chart(metric, title, partial(_bars, drawn=drawn), height=max(1.3, 0.75 + 0.24 * len(values)))
-    return Chart(metric, title, partial(_along, drawn=drawn, along=along), height=_height(lines))
+        return Chart(metric, title, drawn.rows, height=max(1.3, 0.75 + 0.24 * len(values)))
+    return Chart(metric, title, partial(drawn.lines, along=along), height=_height(lines))
 
 
 class _Drawn(NamedTuple):
@@ -75,66 +75,65 @@ class _Drawn(NamedTuple):
         pooled = np.concatenate(list(self.values.values()))
         low, high = np.nanmin(pooled), np.nanmax(pooled)
         if low > 0 and high >= DECADES * low:
-            axes.set(**{f"{which}scale": "log"})
-            axis = axes.xaxis if which == "x" else axes.yaxis
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_locator(NullLocator())
+            logarithmic(axes, which)
         elif which == "x":
             axes.set_xlim(0, 1.04 * max(self.target or 0.0, float(high)))
         else:
             axes.set_ylim(0, None)
 
+    def lines(self, axes: Axes, along: str) -> None:
+        """A line with its band for every world and tracker, over the grid, its bound, and the target."""
+        study = self.results.study
+        for number, (world, tracker) in enumerate((w, t) for w in study.worlds for t in study.trackers):
+            there = [c for c in study.conditions if c.world == world and (c.index, tracker) in self.values]
+            if not there:
+                continue
+            middle, low, high = np.array([self.values[c.index, tracker] for c in there]).T
+            look, x = _look(number), [float(c.point[along]) for c in there]
+            name = tracker if len(study.worlds) == 1 else f"{world}: {tracker}"
+            axes.plot(x, middle, **look, marker=MARKS[number % len(MARKS)], markersize=4, label=literal(name))
+            axes.fill_between(x, low, high, color=look["color"], alpha=0.18, linewidth=0)
+            bound = np.array([self.limits.get((c.index, tracker), np.nan) for c in there])
+            if np.isfinite(bound).any():
+                label = literal(f"{name}: Cramér–Rao bound")
+                axes.plot(x, bound, color=look["color"], linestyle=":", linewidth=1.3, label=label)
+        grid = sorted(study.grid[along])
+        if grid[0] > 0 and grid[-1] / grid[0] >= 8:
+            axes.set_xscale("log")
+            axes.set_xticks(grid, [f"{v:g}" for v in grid])
+            axes.xaxis.set_minor_locator(NullLocator())
+        if self.target is not None:
+            axes.axhline(self.target, color=INK, linewidth=0.9, linestyle="--", label=f"{self.target:g} expected")
+        axes.set_xlabel(literal(short(along) + _unit_of(self.results, along)))
+        self.scale(axes, "y")
+        axes.set_title(literal(self.title))
+        _legend(axes)
+        plain(axes)
 
-def _along(axes: Axes, drawn: _Drawn, along: str) -> None:
-    """A line with its band for every world and tracker, over the grid, its bound, and the target."""
-    study, values, limits = drawn.results.study, drawn.values, drawn.limits
-    for number, (world, tracker) in enumerate((w, t) for w in study.worlds for t in study.trackers):
-        there = [c for c in study.conditions if c.world == world and (c.index, tracker) in values]
-        if not there:
-            continue
-        middle, low, high = np.array([values[c.index, tracker] for c in there]).T
-        look, x = _look(number), [float(c.point[along]) for c in there]
-        name = tracker if len(study.worlds) == 1 else f"{world}: {tracker}"
-        axes.plot(x, middle, **look, marker=MARKS[number % len(MARKS)], markersize=4, label=literal(name))
-        axes.fill_between(x, low, high, color=look["color"], alpha=0.18, linewidth=0)
-        bound = [(float(c.point[along]), limits[c.index, tracker]) for c in there if (c.index, tracker) in limits]
-        if bound:
-            label = literal(f"{name}: Cramér–Rao bound")
-            axes.plot(*zip(*bound, strict=True), color=look["color"], linestyle=":", linewidth=1.3, label=label)
-    grid = sorted(study.grid[along])
-    if grid[0] > 0 and grid[-1] / grid[0] >= 8:
-        axes.set_xscale("log")
-        axes.set_xticks(grid, [f"{v:g}" for v in grid])
-        axes.xaxis.set_minor_locator(NullLocator())
-    if drawn.target is not None:
-        axes.axhline(drawn.target, color=INK, linewidth=0.9, linestyle="--", label=f"{drawn.target:g} expected")
-    axes.set_xlabel(literal(short(along) + _unit_of(drawn.results, along)))
-    drawn.scale(axes, "y")
-    axes.set_title(literal(drawn.title))
-    _legend(axes)
-    plain(axes)
-
-
-def _bars(axes: Axes, drawn: _Drawn) -> None:
-    """Points with intervals, a row for every condition and tracker, a stroke for its bound, a line at the target."""
-    results, values, target, trackers = drawn.results, drawn.values, drawn.target, [*drawn.results.study.trackers]
-    rows = [(c, t) for c in results.study.conditions for t in trackers if (c.index, t) in values]
-    for k, (condition, tracker) in enumerate(rows):
-        number, key = trackers.index(tracker), (condition.index, tracker)
-        colour, mark, (middle, low, high) = LINES[number % len(LINES)], MARKS[number % len(MARKS)], values[key]
-        axes.plot([low, high], [k, k], color=colour, linewidth=3, alpha=0.35, solid_capstyle="butt")
-        axes.plot(middle, k, color=colour, marker=mark, markersize=5, clip_on=False, zorder=3)
-        if key in drawn.limits:
-            axes.plot(drawn.limits[key], k, "|", color=INK, markersize=9, markeredgewidth=1.6)
-    if target is not None:
-        axes.axvline(target, color=INK, linewidth=0.9, linestyle="--", zorder=0)
-    axes.set_yticks(range(len(rows)), [literal(_row_name(results, c, t)) for c, t in rows])
-    axes.set_ylim(len(rows) - 0.4, -0.6)
-    drawn.scale(axes, "x")
-    line = f" (line: {target:g})" if target is not None else ""
-    axes.set_title(literal(drawn.title + (" (strokes: Cramér–Rao bound)" if drawn.limits else "") + line))
-    plain(axes, "x")
+    def rows(self, axes: Axes) -> None:
+        """Points with intervals, a row for every condition and tracker, strokes for bounds, a line at the target."""
+        study, names = self.results.study, list[str]()
+        for condition in study.conditions:
+            for number, tracker in enumerate(study.trackers):
+                key, k = (condition.index, tracker), len(names)
+                if key not in self.values:
+                    continue
+                colour, (middle, low, high) = LINES[number % len(LINES)], self.values[key]
+                axes.plot([low, high], [k, k], color=colour, linewidth=3, alpha=0.35, solid_capstyle="butt")
+                mark = MARKS[number % len(MARKS)]
+                axes.plot(middle, k, color=colour, marker=mark, markersize=5, clip_on=False, zorder=3)
+                if key in self.limits:
+                    axes.plot(self.limits[key], k, "|", color=INK, markersize=9, markeredgewidth=1.6)
+                parts = [condition.label] * (len(study.conditions) > 1) + [tracker] * (len(study.trackers) > 1)
+                names.append(literal(": ".join(parts) or condition.label))
+        if self.target is not None:
+            axes.axvline(self.target, color=INK, linewidth=0.9, linestyle="--", zorder=0)
+        axes.set_yticks(range(len(names)), names)
+        axes.set_ylim(len(names) - 0.4, -0.6)
+        self.scale(axes, "x")
+        line = f" (line: {self.target:g})" if self.target is not None else ""
+        axes.set_title(literal(self.title + (" (strokes: Cramér–Rao bound)" if self.limits else "") + line))
+        plain(axes, "x")
 
 
 def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
@@ -143,12 +142,9 @@ def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
     `lengths`: the page's unit of lengths, or None.
     """
     study, made = results.study, []
-    conditions = study.conditions[:SHOWN_CONDITIONS]
-    kinds = [_kind(results, condition) for condition in conditions]
-    medians = [
-        results.at(f"median_{k}", c, t).value for c, k in zip(conditions, kinds, strict=True) for t in study.trackers
-    ]
-    for number, (condition, kind) in enumerate(zip(conditions, kinds, strict=True), 1):
+    for number, condition in enumerate(study.conditions[:SHOWN_CONDITIONS], 1):
+        kind = _kind(results, condition)
+        medians = [results.at(f"median_{kind}", condition, tracker).value for tracker in study.trackers]
         unit = lengths if lengths and kind.endswith("m") else unit_of(f"median_{kind}", medians)
         title = f"Distribution of errors: {condition.label}"
         draw = partial(_distributions, results=results, condition=condition, kind=kind, unit=unit, title=title)
@@ -220,9 +216,3 @@ def _axis(results: Results) -> str | None:
     name, values = next(iter(grid.items()))
     numbers: Sequence[object] = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
     return name if len(numbers) == len(values) > 2 else None
-
-
-def _row_name(results: Results, condition: Condition, tracker: str) -> str:
-    if len(results.study.trackers) == 1:
-        return condition.label
-    return tracker if len(results.study.conditions) == 1 else f"{condition.label}: {tracker}"

@@ -11,7 +11,6 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from trackwright.experiments.pages.charts.plotly_figure import plotly_figure
 from trackwright.experiments.pages.reports.pages import script_json
@@ -105,7 +105,7 @@ Draw = Callable[[Axes], object]
 class Chart(NamedTuple):
     """A chart of a page or a file: its name in a file's name, its title, what draws it, and its size in inches.
 
-    `height`: None of a floor plan, whose axes say it.
+    `height`: None of a floor plan, whose axes say it. `caption`: what a page says below it.
     """
 
     name: str
@@ -113,6 +113,12 @@ class Chart(NamedTuple):
     draw: Draw
     width: float = WIDTH
     height: float | None = HEIGHT
+    caption: str = ""
+
+    @property
+    def narrow(self) -> bool:
+        """Whether three stand abreast."""
+        return self.width == NARROW
 
     @property
     def address(self) -> str:
@@ -140,20 +146,15 @@ class Chart(NamedTuple):
 
         Raises UnusableInput where it can't be written.
         """
+        kind = Path(path).suffix[1:]
+        options: dict[str, Any] = {"pil_kwargs": {"compress_level": COMPRESSION}} if kind == "png" else {}
         with _styled():
-            size, dpi = (self.width, self.height or HEIGHT), STYLE["savefig.dpi"]
-            figure = Figure(figsize=size, dpi=dpi, facecolor="white", layout="constrained")
-            write: Callable[[Path], object] = partial(
-                FigureCanvasAgg(figure).print_png, pil_kwargs={"compress_level": COMPRESSION}
-            )
+            figure = Figure(figsize=(self.width, self.height or HEIGHT), facecolor="white", layout="constrained")
+            FigureCanvasAgg(figure)
             title = literal(self.title)
             if title not in self._drawn(figure).get_title("left"):
                 figure.suptitle(title, x=0.02, ha="left", fontsize=11, fontweight="bold")
-            if Path(path).suffix == ".pdf":
-                from matplotlib.backends.backend_pdf import FigureCanvasPdf
-
-                write = partial(FigureCanvasPdf(figure).print_pdf)
-            atomic_write(path, write)
+            atomic_write(path, lambda to: figure.savefig(to, format=kind, **options))
         return Path(path)
 
     def _drawn(self, figure: Figure) -> Axes:
@@ -194,6 +195,15 @@ def plain(axes: Axes, grid: str = "y") -> None:
         axes.grid(visible=True, axis=grid)  # type: ignore[arg-type]
     axes.spines["left"].set_visible(False)
     axes.tick_params(left=False)
+
+
+def logarithmic(axes: Axes, which: str) -> None:
+    """Makes the axis x or y logarithmic, with round numbers at its ticks."""
+    axes.set(**{f"{which}scale": "log"})
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=8))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
 
 
 def literal(text: str) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,26 +19,27 @@ from trackwright.experiments.pages.charts.distributions import (
     draw_probabilities,
 )
 from trackwright.experiments.pages.charts.floor import draw_plan, track_paths, true_path
-from trackwright.experiments.pages.charts.objective import draw_objective, named, scale_axis
 from trackwright.experiments.pages.charts.style import (
     BEFORE,
     BLUE,
+    INK,
     NARROW,
+    SKY,
     VERMILION,
     WIDTH,
     Chart,
-    Draw,
     broken_at_gaps,
     legend_above,
     literal,
+    logarithmic,
     plain,
 )
 from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChange
-from trackwright.experiments.pages.reports.tuning_data import OptimiserTrace, TuningReportData
 from trackwright.experiments.pages.scored_tracks import root_mean_square
 from trackwright.experiments.text.wording import number
+from trackwright.trackers.core.wording import counted
 from trackwright.tuning.diagnostics import Innovations
-from trackwright.tuning.sweeping import Surface
+from trackwright.tuning.sweeping import Surface, Sweep
 
 PALE = "#c3ccd6"
 POINTS = 250
@@ -47,8 +50,20 @@ SHOWN, MOST = 6, 24
 """The most trajectories whose errors are drawn over time, and whose RMSE is drawn."""
 
 
+BEST: dict[str, Any] = {"color": VERMILION, "markersize": 8, "markeredgecolor": "white", "clip_on": False, "zorder": 5}
+"""The mark of the best point."""
+
+
+class OptimiserTrace(NamedTuple):
+    """The steps from one start: the objective (i,) and the physical values (i, p) of the parameters."""
+
+    objective: np.ndarray
+    values: np.ndarray
+
+
 def plan_chart(change: TrackChange) -> Chart:
     """Paths before and after, 95 % ellipses of the same moments on both, truth, anchors, stations and walls."""
+    words = [change.rmse and f"RMSE {change.rmse}", "held out" if change.held_out else "tuned on", change.why]
 
     def draw(axes: Axes) -> None:
         looks = [(k, colour, f"95 % ellipses {k}") for k, colour in (("before", BEFORE), ("after", BLUE))]
@@ -57,7 +72,7 @@ def plan_chart(change: TrackChange) -> Chart:
         legend_above(axes, 3)
         axes.set_title(literal(change.name), pad=30)
 
-    return Chart("plan", f"Floor plan of {change.name}", draw, height=None)
+    return Chart("plan", f"Floor plan of {change.name}", draw, WIDTH, None, f"{'; '.join(filter(None, words))}.")
 
 
 def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
@@ -68,12 +83,34 @@ def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
         axes.set_title("NIS of all rows")
         plain(axes, "")
 
-    drawings: dict[str, Draw] = {
-        "NIS against its distribution": histograms,
-        "Probabilities of NIS": partial(draw_probabilities, before=before, after=after),
-        "Autocorrelation of NIS": partial(draw_autocorrelation, before=before, after=after),
-    }
-    return [Chart("consistency", title, draw, NARROW, NARROW * 0.92) for title, draw in drawings.items()]
+    size = NARROW, NARROW * 0.92
+    probabilities = partial(draw_probabilities, before=before, after=after)
+    lags = partial(draw_autocorrelation, before=before, after=after)
+    return [
+        Chart(
+            "nis",
+            "NIS against its distribution",
+            histograms,
+            *size,
+            "An overconfident filter has more large values than the vermilion line.",
+        ),
+        Chart(
+            "probabilities",
+            "Probabilities of NIS",
+            probabilities,
+            *size,
+            "The same values as probabilities, uniform for a consistent filter. Bars that rise to the right: reported "
+            "covariances too small; to the left: too large.",
+        ),
+        Chart(
+            "autocorrelation",
+            "Autocorrelation of NIS",
+            lags,
+            *size,
+            "Points above the band: errors are correlated in time, contrary to the model's white noise. Computed from "
+            "NIS transformed to standard normal values, since the signs of innovations are not stored.",
+        ),
+    ]
 
 
 def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
@@ -95,7 +132,9 @@ def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
         legend_above(axes, 3)
         plain(axes, "x")
 
-    return Chart("rmse", "RMSE of trajectories", draw, height=max(2.0, 1.0 + 0.24 * len(rows)))
+    caption = "RMSE of each trajectory; vermilion where it increased."
+    caption += f" The {MOST} largest are shown." if len(errors) > MOST else ""
+    return Chart("rmse", "RMSE of trajectories", draw, WIDTH, max(2.0, 1.0 + 0.24 * len(rows)), caption)
 
 
 def distribution_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
@@ -113,7 +152,7 @@ def distribution_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
         axes.set_title("Distribution of errors of all rows")
         plain(axes)
 
-    return Chart("distribution", "Distribution of errors", draw)
+    return Chart("distribution", "Distribution of errors", draw, caption="All rows pooled.")
 
 
 def error_charts(errors: Sequence[ErrorTrack], unit: str) -> list[Chart]:
@@ -152,7 +191,7 @@ def objective_chart(traces: Sequence[OptimiserTrace], title: str, selected: int 
     """The objective at every step of every start, the best first; `selected`: the one chosen, by default the last."""
 
     def draw(axes: Axes) -> None:
-        _draw_steps(axes, traces, lambda t: t.objective)
+        _draw_steps(axes, [t.objective for t in traces])
         shown = np.concatenate([t.objective for t in traces])
         shown = shown[np.isfinite(shown)]
         best, longest = float(shown.min()), max(len(t.objective) for t in traces)
@@ -174,15 +213,15 @@ def objective_chart(traces: Sequence[OptimiserTrace], title: str, selected: int 
             axes.legend(*(x[::-1] for x in axes.get_legend_handles_labels()), loc="upper right")
         plain(axes)
 
-    return Chart("tuning", "Objective", draw)
+    return Chart("tuning", "Objective", draw, caption=f"Objective at every step, from {counted(len(traces), 'start')}.")
 
 
-def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, title: str) -> Chart:
+def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, unit: str) -> Chart:
     """Parameter `k` at every step of every start, on a logarithmic axis where it is positive."""
 
     def draw(axes: Axes) -> None:
-        _draw_steps(axes, traces, lambda t: t.values[:, k])
-        axes.set_title(title)
+        _draw_steps(axes, [t.values[:, k] for t in traces])
+        axes.set_title(named(name, unit))
         scale_axis(axes, np.concatenate([t.values[:, k] for t in traces]), "y")
         axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         axes.set_xlabel("step")
@@ -191,27 +230,116 @@ def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, title: 
     return Chart(f"tuning-{name}", name, draw, NARROW, 0.62 * NARROW)
 
 
-def _draw_steps(axes: Axes, traces: Sequence[OptimiserTrace], take: Callable[[OptimiserTrace], np.ndarray]) -> None:
-    for k, trace in reversed(list(enumerate(traces))):
+def _draw_steps(axes: Axes, traces: Sequence[np.ndarray]) -> None:
+    for k, values in reversed(list(enumerate(traces))):
         label = {0: "best start", 1: "other starts"}.get(k)
-        axes.plot(take(trace), color=BLUE if k == 0 else PALE, linewidth=1.8 if k == 0 else 1.1, label=label)
+        axes.plot(values, color=BLUE if k == 0 else PALE, linewidth=1.8 if k == 0 else 1.1, label=label)
 
 
-def selected_step(data: TuningReportData) -> int:
+def selected_step(best: OptimiserTrace, after: Sequence[float]) -> int:
     """The step of the best start nearest to the selected point."""
-    after = np.array([n.after for n in data.parameters])
     size = np.maximum(np.abs(after), np.finfo(float).tiny)
-    return int(np.argmin((np.abs(data.traces[0].values - after) / size).max(axis=1)))
+    return int(np.argmin((np.abs(best.values - after) / size).max(axis=1)))
 
 
-def surface_chart(data: TuningReportData, surface: Surface) -> Chart:
+def surface_chart(
+    surface: Surface, names: Sequence[str], labels: Sequence[str], best: Sequence[float], objective: str,
+    traces: Sequence[OptimiserTrace],
+) -> Chart:  # fmt: skip
     """The objective over one parameter as a curve, over two as contours with the steps of all starts."""
-    known = [data.parameters[k] for k in surface.axes]
-    labels, best = [named(n.name, n.unit) for n in known], [n.after for n in known]
-    paths = [t.values[:, list(surface.axes)] for t in data.traces]
-    about = data.objective_about
+    paths = [t.values[:, list(surface.axes)] for t in traces]
 
     def draw(axes: Axes) -> None:
-        draw_objective(axes, labels, surface.grids, surface.values, best, about, paths)
+        draw_objective(axes, labels, surface.grids, surface.values, best, objective, paths)
 
-    return Chart("surface", f"Objective over {' and '.join(n.name for n in known)}", draw, WIDTH, 3.6)
+    over = f" over {' and '.join(names)}"
+    what = "Contours of the objective" if len(names) == 2 else "Objective"
+    caption = f"{what}{over}, with the optimiser's steps; other parameters at their tuned values."
+    return Chart("surface", f"Objective{over}", draw, WIDTH, 3.6, caption)
+
+
+def sweep_plot(path: Path | str, swept: Sweep, objective: str) -> Path:
+    """Writes the objective over the grid, its minimum marked, with its spread over repeats; returns the path.
+
+    `objective`: its name and unit. Raises UnusableInput where the file can't be written.
+    """
+    mean, at = swept.mean, swept.best_index
+    best = [float(grid[k]) for grid, k in zip(swept.grids, at, strict=True)]
+    labels = [named(p.label, p.example.unit) for p in swept.parameters]
+    spread = swept.spread if len(swept.values) > 1 else None
+    shown = ", ".join(f"{p.label} = {x:.4g}" for p, x in zip(swept.parameters, best, strict=True))
+
+    def draw(axes: Axes) -> None:
+        draw_objective(axes, labels, swept.grids, mean, best, objective, (), spread)
+        axes.set_title(literal(f"minimum {mean[at]:.5g} at {shown}"), fontsize=9)
+
+    return Chart("sweep", f"Sweep: {objective}", draw, 7.0, 4.6).write(path)
+
+
+def named(name: str, unit: str) -> str:
+    """Name and unit of a parameter, for an axis."""
+    return literal(name + (f" ({unit})" if unit not in ("", "1") else ""))
+
+
+def draw_objective(
+    axes: Axes,
+    labels: Sequence[str],
+    grids: Sequence[np.ndarray],
+    values: np.ndarray,
+    best: Sequence[float],
+    name: str,
+    paths: Sequence[np.ndarray] = (),
+    spread: np.ndarray | None = None,
+) -> None:
+    """The objective `name` over one parameter (n,) as a curve, or over two (n, m) as contours.
+
+    `best`: the point that is marked. `paths`: optimiser traces (i, p), the best one first; along a curve they are drawn
+    at its values, since a fit may have had another objective. `spread` (n,): over repeats. Levels of contours are
+    equidistant in the square root of the excess over the minimum: evenly spaced for a quadratic.
+    """
+    curve, height = len(labels) == 1, float(np.nanmin(values))
+    if curve:
+        (grid,) = grids
+        if spread is not None:
+            label = "± standard deviation over repeats"
+            axes.fill_between(grid, values - spread, values + spread, color=SKY, alpha=0.35, linewidth=0, label=label)
+        axes.plot(grid, values, color=INK, linewidth=1.4, marker="o" if len(grid) <= 40 else "", markersize=3.5)
+        paths = [np.column_stack([path, np.interp(path[:, 0], grid, values, np.nan, np.nan)]) for path in paths]
+        axes.set_ylabel(literal(name))
+    else:
+        above = values[np.isfinite(values)] - height
+        top = float(np.quantile(above, 0.97)) or float(above.max()) or 1.0
+        levels = height + np.linspace(0, np.sqrt(top), 12) ** 2
+        shown = np.where(np.isfinite(values), values, np.nan).T
+        filled = axes.contourf(*grids, shown, levels=levels, cmap="Blues_r", extend="max", alpha=0.75)
+        bar = axes.figure.colorbar(filled, ax=axes, ticks=levels[::3], format="%.4g", pad=0.02, aspect=30)
+        bar.set_label(literal(name), fontsize=8)
+        bar.outline.set_visible(False)  # type: ignore[operator]
+        axes.contour(*grids, shown, levels=levels, colors="white", linewidths=0.6, linestyles="solid")
+        axes.grid(visible=False)
+        scale_axis(axes, grids[1], "y", tight=True)
+        axes.set_ylabel(labels[1])
+    for k, path in reversed(list(enumerate(paths))):
+        colour, size, width, alpha = (VERMILION, 4.5, 1.2, 1.0) if k == 0 else (INK, 2.5, 0.6, 0.5)
+        label = {0: "best start" if len(paths) > 1 else "optimiser steps", 1: "other starts"}.get(k, "_")
+        axes.plot(*path.T, ".-", color=colour, markersize=size, linewidth=width, alpha=alpha, label=label)
+    axes.plot(*best, *([height] if curve else []), "o", **BEST)
+    handles, texts = axes.get_legend_handles_labels()
+    if texts:
+        place = {"loc": "best"} if curve else {"loc": "lower left", "bbox_to_anchor": (-0.01, 1.0), "ncols": 3}
+        axes.legend(handles[::-1], texts[::-1], **place)
+    scale_axis(axes, grids[0], "x", tight=not curve)
+    axes.set_xlabel(labels[0])
+
+
+def scale_axis(axes: Axes, values: np.ndarray, which: str, tight: bool = False) -> None:
+    """Scales the axis x or y: logarithmic where all values are positive and the largest is five times the least."""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    if low > 0 and high > 5 * low:
+        logarithmic(axes, which)
+        factor = 1.0 if tight else (high / low) ** 0.06
+        axes.set(**{f"{which}lim": (low / factor, high * factor)})
+        return
+    (axes.xaxis if which == "x" else axes.yaxis).set_major_locator(MaxNLocator(5))
+    margin = 0.0 if tight and high > low else 0.08 * (high - low) or 0.1 * abs(high) or 1.0
+    axes.set(**{f"{which}lim": (low - margin, high + margin)})

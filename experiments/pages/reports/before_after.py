@@ -37,12 +37,17 @@ class Compared(NamedTuple):
     verdict: Verdict
     metrics: Mapping[str, Mapping[str, tuple[float | None, float | None]]] = {}
 
+    @property
+    def section(self) -> Section:
+        """The table and the sentences on covariances, for a terminal and a page."""
+        title, looks = f"{self.about[0].upper()}{self.about[1:]}, before → after", dict.fromkeys(self.head[1:], "after")
+        note = "Tracked as by `track`. Regret: nats of the log density that the scale of the covariances loses."
+        return Section(title, self.head, self.rows, 1, note, looks, self.statements)
+
     def text(self) -> str:
         """The table and the sentences for a terminal."""
-        title = f"{self.about[0].upper()}{self.about[1:]}, before → after"
         verdict = f"Verdict: {self.verdict.word}. {self.verdict.sentence(self.about)}"
-        sentences = (*self.statements, verdict, *self.verdict.got_worse)
-        return sections_text([Section(title, self.head, self.rows)], WIDTH, *sentences)
+        return sections_text([self.section], WIDTH, *self.statements, verdict, *self.verdict.got_worse)
 
     def content(self) -> dict[str, Any]:
         """The verdict and the table as tuned.toml holds them, nan for what is unknown."""
@@ -183,6 +188,9 @@ class TrackChanges(NamedTuple):
     shown: tuple[TrackChange, ...]
     total: int
     errors: tuple[ErrorTrack, ...]
+
+
+NO_PLANS = TrackChanges((), 0, ())
 
 
 def track_changes(

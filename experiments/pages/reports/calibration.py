@@ -1,22 +1,33 @@
-"""The report of a calibration: terms, errors before and after, and figures, as text and as an HTML page."""
+"""The report of a calibration: terms, errors before and after, and charts, as text and as an HTML page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from scipy.stats import binned_statistic_2d
 
-from trackwright.experiments.pages.charts.calibration import Panel, floor_charts, reading_chart
-from trackwright.experiments.pages.charts.style import Chart
-from trackwright.experiments.pages.reports.pages import page, write_page
+from trackwright.experiments.pages.charts.style import (
+    BEFORE,
+    BLACK,
+    BLUE,
+    GREY,
+    NARROW,
+    VERMILION,
+    Chart,
+    legend_above,
+    literal,
+)
+from trackwright.experiments.pages.reports.pages import report_page, typed, write_page
 from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import MISSING, fixed
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.calibration import (
     ANGLE_TERMS,
     ANGLES,
@@ -35,21 +46,54 @@ from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, diffe
 
 WIDTH = 150
 SHOWN = 12
-"""The most stations, or anchors, in figures."""
+"""The most stations, or anchors, with charts."""
 
-CURVE = 80
-"""Points of a fitted curve."""
+CURVE, POINTS = 80, 500
+"""Points of a fitted curve, and the most rows drawn of a source, before and after each: evenly spaced ones."""
+
+SQUARE = 0.5
+"""Side of the squares of the floor, m, whose median errors are drawn."""
 
 DEGREES = float(np.rad2deg(1.0))
-TAG_HEAD = ("tag", "bias, m", "ahead, m", "to the left, m", "rows")
-_ERRORS = ("rows", "as measured", "calibrated", "left out")
-ANGLE_HEAD = ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS)
-RANGE_HEAD = ("anchor", "bias, m", "slope", *_ERRORS)
-DIFFERENCE_HEAD = ("anchor", "bias, m", *_ERRORS)
 DIFFERENCE = "range difference"
-TABLES = ("stations", "anchors", "differences")
 NOT_LINEAR = ", not linear"
 """What follows the name of an anchor whose errors differ by distance after the line is removed."""
+
+_ERRORS = ("rows", "as measured", "calibrated", "left out")
+SECTIONS = {
+    "stations": Section(
+        "Stations",
+        ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS),
+        (),
+        2,
+        "A true angle a, with the other angle b, is measured as offset + gain·a + cubic·a³ + cross·a·b.",
+    ),
+    "anchors": Section(
+        "Anchors",
+        ("anchor", "bias, m", "slope", *_ERRORS),
+        (),
+        1,
+        "A distance d is measured as d + bias + slope·d, plus the bias of the tag where there are several.",
+    ),
+    "differences": Section(
+        "Range differences",
+        ("anchor", "bias, m", *_ERRORS),
+        (),
+        1,
+        "The difference of the distances to two anchors is measured with the bias of the first less the bias of the "
+        "second; biases are relative to their mean. Rows and errors are those of all differences of an anchor.",
+    ),
+    "tags": Section(
+        "Tags",
+        ("tag", "bias, m", "ahead, m", "to the left, m", "rows"),
+        (),
+        1,
+        "Bias relative to the mean of the tags, and where on the body their ranges end, from the place of the tag.",
+    ),
+}
+"""The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several."""
+
+TABLES = ("stations", "anchors", "differences")
 
 NOTES = {
     "": "± standard error.",
@@ -83,6 +127,28 @@ class Source(NamedTuple):
         """Its number in `TABLES`."""
         return 0 if self.is_angle else 1 + (self.quantity == DIFFERENCE)
 
+    @property
+    def title(self) -> str:
+        """Its name above a chart."""
+        return f"{self.name}: {self.quantity}"
+
+    @property
+    def label(self) -> str:
+        """Its name in a sentence."""
+        in_differences = " in range differences" if self.table == 2 else ""
+        return f"station {self.name}, {self.quantity}" if self.is_angle else f"anchor {self.name}{in_differences}"
+
+    def fit(self, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray, Sequence[str]]:
+        """Terms, covariance, whether each is determined, and their names."""
+        if self.is_angle:
+            station, k = calibration.stations[self.name], self.column
+            return station.coefficients[k], station.covariances[k], station.determined[k], ANGLE_TERMS
+        if self.quantity == DIFFERENCE:
+            known, k = calibration.differences, calibration.differences.anchors.index(self.name)
+            return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]], RANGE_TERMS[:1]
+        anchor = calibration.anchors[self.name]
+        return anchor.coefficients, anchor.covariance, anchor.determined, RANGE_TERMS
+
     def errors(self, calibration: Calibration | None) -> np.ndarray:
         """Measured minus expected values (N,), rad or m, NaN where not measured; None: without a calibration."""
         true, k = self.pairs.true, self.column
@@ -99,12 +165,6 @@ class Source(NamedTuple):
             expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients + biases[number]
         return self.pairs.measured[:, k] - expected
 
-    def bend(self, calibration: Calibration) -> str:
-        """`NOT_LINEAR` where the ranges contradict the line of the calibration."""
-        errors = self.errors(calibration)
-        bent = differs_by_distance(self.pairs.true[:, 0], errors, self.pairs.piece, self.spread(errors))
-        return NOT_LINEAR if bent else ""
-
     def spread(self, errors: np.ndarray) -> float:
         """The 68th percentile of the sizes of errors (N,), each recording with the same weight; NaN without any."""
         seen = np.flatnonzero(np.isfinite(errors))
@@ -117,32 +177,15 @@ class Source(NamedTuple):
 
 
 class Report(NamedTuple):
-    """The tables of a calibration by their part of the page, those with rows, and no column of dashes alone.
+    """The tables of a calibration by what they are of, those with rows, and no column of dashes alone.
 
-    `undetermined`: each source with the terms that are not determined. `by_place`: what a map of bearings brings, in
-    words.
+    `undetermined`: each source with the terms that are not determined. `note`: what the marks in the tables mean.
     """
 
     tables: dict[str, Section]
     undetermined: list[tuple[str, str]]
     sources: list[Source]
-    by_place: str
-
-    @property
-    def note(self) -> str:
-        """What the marks mean that occur in the tables."""
-        cells = [*chain.from_iterable([section.head, *section.rows] for section in self.tables.values())]
-        notes = [text for mark, text in NOTES.items() if any(mark in cell for row in cells for cell in row)]
-        return " ".join([*notes, self.by_place] if self.by_place else notes)
-
-
-SECTIONS = {
-    "stations": Section("Stations", ANGLE_HEAD, [], 2, "", {"calibrated": "after"}),
-    "anchors": Section("Anchors", RANGE_HEAD, [], 1, "", {"calibrated": "after"}),
-    "differences": Section("Range differences", DIFFERENCE_HEAD, [], 1, "", {"calibrated": "after"}),
-    "tags": Section("Tags: bias relative to their mean, and where their ranges end", TAG_HEAD, []),
-}
-"""The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several."""
+    note: str
 
 
 def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
@@ -150,57 +193,52 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     # An anchor whose differences are to anchors with too few has no bias.
     sources = [source for source in _sources(folders) if source.table < 2 or source.name in calibration.differences]
     without = _without_each(folders)
-    tables: dict[str, list[list[str]]] = {name: [] for name in SECTIONS}
+    rows: dict[str, list[list[str]]] = {name: [] for name in SECTIONS}
     undetermined = []
     for source in sources:
-        terms, covariance, determined, names = _fit(calibration, source)
-        sigmas = np.sqrt(np.diag(covariance))
-        cells = [_term(*values) for values in zip(terms, sigmas, determined, strict=True)]
-        left_out = np.full(len(source.pairs.true), np.nan)
+        terms, covariance, determined, names = source.fit(calibration)
+        cells = [_term(*values) for values in zip(terms, np.sqrt(np.diag(covariance)), determined, strict=True)]
+        left_out, of = np.full(len(source.pairs.true), np.nan), source.pairs.recording
         for number, other in enumerate(without):
             if other is not None:
-                of_recording = source.pairs.recording == number
-                left_out[of_recording] = source.errors(other)[of_recording]
-        measured = source.errors(None)
-        spreads = [source.spread(errors) for errors in (measured, source.errors(calibration), left_out)]
-        factor, unit = _shown(source.quantity)
-        shown = [MISSING if np.isnan(spread) else fixed(factor * spread, 1) + unit for spread in spreads]
-        heads = [source.name, source.quantity], [source.name + source.bend(calibration)], [source.name]
-        head = heads[source.table]
-        tables[TABLES[source.table]].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
-        lacking = [name for name, known in zip(names, determined, strict=True) if not known]
-        if lacking:
-            words = f"station {source.name}, {source.quantity}", f"anchor {source.name}"
-            word = (*words, f"anchor {source.name} in range differences")[source.table]
-            undetermined.append((word, ", ".join(lacking)))
-    tables["tags"] = [
+                left_out[of == number] = source.errors(other)[of == number]
+        measured, calibrated = source.errors(None), source.errors(calibration)
+        factor, unit = (DEGREES, "°") if source.is_angle else (100.0, " cm")
+        spreads = [factor * source.spread(errors) for errors in (measured, calibrated, left_out)]
+        shown = [MISSING if np.isnan(spread) else fixed(spread, 1) + unit for spread in spreads]
+        bent = source.table == 1 and differs_by_distance(
+            source.pairs.true[:, 0], calibrated, source.pairs.piece, source.spread(calibrated)
+        )
+        head = [source.name + NOT_LINEAR * bent, *[source.quantity] * source.is_angle]
+        rows[TABLES[source.table]].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
+        if not all(determined):
+            lacking = ", ".join(name for name, known in zip(names, determined, strict=True) if not known)
+            undetermined.append((source.label, lacking))
+    rows["tags"] = [
         [name, _term(tag.bias, tag.sigma, True), *map(_offset, tag.offset, tag.offset_sigmas), str(tag.rows)]
         for name, tag in calibration.tags.items()
         if len(calibration.tags) > 1
     ]
-    filled: dict[str, Section] = {}
-    for part, rows in tables.items():
-        section = SECTIONS[part]
-        width = len(section.head) - (part in TABLES and all(row[-1] == MISSING for row in rows))
-        if rows:
-            filled[part] = section._replace(head=section.head[:width], rows=[row[:width] for row in rows])
-    return Report(filled, undetermined, sources, _in_words(calibration.bearing_map))
+    tables = {}
+    for name, section in SECTIONS.items():
+        width = len(section.head) - (name in TABLES and all(row[-1] == MISSING for row in rows[name]))
+        if rows[name]:
+            shorter = [row[:width] for row in rows[name]]
+            tables[name] = section._replace(head=section.head[:width], rows=shorter, looks={"calibrated": "after"})
+    return Report(tables, undetermined, sources, _note(tables, calibration))
 
 
-def _in_words(by_place: BearingMap | None) -> str:
-    """What a map of the errors of bearings brings; empty without one."""
-    if by_place is None:
-        return ""
-    return (
-        "A map of the errors of bearings over the floor is kept, of "
-        f"{sum(len(visits) for visits in by_place.stations.values())} visits: visits left out are more probable by "
-        f"{by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
-    )
-
-
-def _offset(value: float, sigma: float) -> str:
-    """A part of the place where the ranges of a tag end; none where the heading of its body is not known."""
-    return _term(value, sigma, sigma < DETERMINED * OFFSET_SIGMA) if sigma else MISSING
+def _note(tables: dict[str, Section], calibration: Calibration) -> str:
+    """What the marks mean that occur in the tables, and what a map of the errors of bearings brings."""
+    cells = [cell for section in tables.values() for row in (section.head, *section.rows) for cell in row]
+    notes = [text for mark, text in NOTES.items() if any(mark in cell for cell in cells)]
+    if by_place := calibration.bearing_map:
+        notes.append(
+            "A map of the errors of bearings over the floor is kept, of "
+            f"{sum(len(visits) for visits in by_place.stations.values())} visits: visits left out are more probable by "
+            f"{by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
+        )
+    return " ".join(notes)
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
@@ -221,21 +259,9 @@ def _without_each(folders: Sequence[RecordingFolder]) -> list[Calibration | None
     return calibrations
 
 
-def _fit(calibration: Calibration, source: Source) -> tuple[np.ndarray, np.ndarray, np.ndarray, Sequence[str]]:
-    """Terms, covariance, whether each is determined, and their names."""
-    if source.is_angle:
-        station, k = calibration.stations[source.name], source.column
-        return station.coefficients[k], station.covariances[k], station.determined[k], ANGLE_TERMS
-    if source.quantity == DIFFERENCE:
-        known, k = calibration.differences, calibration.differences.anchors.index(source.name)
-        return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]], RANGE_TERMS[:1]
-    anchor = calibration.anchors[source.name]
-    return anchor.coefficients, anchor.covariance, anchor.determined, RANGE_TERMS
-
-
-def _shown(quantity: str) -> tuple[float, str]:
-    """The factor and the unit with which sizes of errors are shown."""
-    return (DEGREES, "°") if quantity in ANGLES else (100.0, " cm")
+def _offset(value: float, sigma: float) -> str:
+    """A part of the place where the ranges of a tag end; none where the heading of its body is not known."""
+    return _term(value, sigma, sigma < DETERMINED * OFFSET_SIGMA) if sigma else MISSING
 
 
 def _term(value: float, sigma: float, determined: bool) -> str:
@@ -247,52 +273,115 @@ def calibration_charts(calibration: Calibration, report: Report) -> dict[str, tu
     """Of each table with sources, by what they are called: readings against the truth, and errors over the floor."""
     charts = {}
     for number, kind in enumerate(TABLES):
-        panels = [_panel(calibration, source) for source in report.sources if source.table == number]
-        panels = [panel for panel in panels if len(panel.true)][: SHOWN if number else 2 * SHOWN]
-        if panels:
-            charts[kind] = [reading_chart(panel, kind) for panel in panels], floor_charts(panels, kind)
+        sources = [one for one in report.sources if one.table == number and np.isfinite(one.errors(None)).any()]
+        shown = sources[: SHOWN if number else 2 * SHOWN]
+        if shown:
+            readings = [
+                Chart(f"{kind}-{one.name}-{one.quantity}", one.title, partial(_readings, one, calibration))
+                for one in shown
+            ]
+            charts[kind] = readings, _floor_charts(shown, calibration, kind)
     return charts
 
 
-def _panel(calibration: Calibration, source: Source) -> Panel:
-    pairs, column = source.pairs, source.column
-    seen = np.isfinite(pairs.measured[:, column])
-    true = pairs.true[seen, column]
-    at = np.linspace(true.min(), true.max(), CURVE) if seen.any() else np.zeros(0)
-    terms, covariance, _, _ = _fit(calibration, source)
+def _readings(source: Source, calibration: Calibration, axes: Axes) -> None:
+    """Readings before and after calibration against true values, with the fit and its 95 % interval."""
+    pairs, k = source.pairs, source.column
+    seen = np.flatnonzero(np.isfinite(pairs.measured[:, k]))
+    true = pairs.true[seen, k]
+    at = np.linspace(true.min(), true.max(), CURVE)
+    terms, covariance, _, _ = source.fit(calibration)
     if source.is_angle:
         # The curve of one angle is that at the median of the other.
-        angles = np.repeat(np.median(pairs.true, axis=0)[None], len(at), axis=0)
-        angles[:, column] = at
-        factors = angle_terms(angles, calibration.stations[source.name].spans)[:, column]
-        fitted = factors @ terms
+        angles = np.repeat(np.median(pairs.true, axis=0)[None], CURVE, axis=0)
+        angles[:, k] = at
+        factors = angle_terms(angles, calibration.stations[source.name].spans)[:, k]
+        # Errors of a few centimetres of ranges of metres are visible only by themselves.
+        fitted, shown, factor, unit = factors @ terms, true, DEGREES, "°"
     else:
         factors = range_terms(at)[:, : len(terms)]
-        fitted = at + factors @ terms
-    sigma = np.sqrt(np.einsum("ki,ij,kj->k", factors, covariance, factors))
-    columns = true, true + source.errors(None)[seen], true + source.errors(calibration)[seen]
-    return Panel(source.name, source.quantity, source.is_angle, *columns, pairs.positions[seen, :2], at, fitted, sigma)
+        fitted, shown, factor, unit = factors @ terms, np.zeros(len(true)), 1.0, "m"
+    half = 1.96 * np.sqrt(np.einsum("ki,ij,kj->k", factors, covariance, factors))
+    part = slice(None, None, -(-len(seen) // POINTS))
+    values = [factor * (shown + source.errors(of)[seen])[part] for of in (None, calibration)]
+    for y, colour, label in zip(values, (BEFORE, BLUE), ("as measured", "calibrated"), strict=True):
+        axes.plot(factor * true[part], y, ".", color=colour, markersize=3.5, label=label)
+    x, none = factor * at, factor * at if source.is_angle else np.zeros(CURVE)
+    axes.plot(x, none, color=BLACK, linewidth=0.9, linestyle=(0, (4, 2)), label="no error")
+    axes.plot(x, factor * fitted, color=VERMILION, linewidth=1.4, label="fit")
+    low, high = factor * (fitted - half), factor * (fitted + half)
+    axes.fill_between(x, low, high, color=VERMILION, alpha=0.25, linewidth=0, label="its 95 % interval")
+    bottom, top = np.quantile(np.concatenate(values), (0.005, 0.995))
+    margin = 0.08 * max(top - bottom, 1e-6)
+    axes.set(ylim=(bottom - margin, top + margin), xlabel=f"true {source.quantity} ({unit})")
+    axes.set_ylabel(f"{'measured' if source.is_angle else 'error of'} {source.quantity} ({unit})")
+    axes.set_title(literal(source.title), pad=30)
+    legend_above(axes, 3)
+
+
+def _floor_charts(sources: Sequence[Source], calibration: Calibration, kind: str) -> list[Chart]:
+    """Median errors after calibration over the floor, in squares, a chart for each source, all with one scale."""
+    errors = [(DEGREES if source.is_angle else 1.0) * source.errors(calibration) for source in sources]
+    places = [source.pairs.positions[np.isfinite(own), :2] for source, own in zip(sources, errors, strict=True)]
+    squares = np.floor(np.concatenate(places) / SQUARE)
+    edges = [SQUARE * np.arange(x.min(), x.max() + 2) for x in squares.T]
+    medians = [
+        binned_statistic_2d(*place.T, own[np.isfinite(own)], "median", edges).statistic
+        for place, own in zip(places, errors, strict=True)
+    ]
+    largest = float(np.nanquantile(np.abs(np.concatenate([m.ravel() for m in medians])), 0.97)) or 1.0
+
+    def draw(axes: Axes, source: Source, median: np.ndarray) -> None:
+        mesh = axes.pcolormesh(*edges, median.T, cmap="RdBu_r", norm=Normalize(-largest, largest))
+        axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+        axes.set_title(literal(source.title))
+        bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.8, extend="both")
+        bar.set_label(f"median error ({'°' if source.is_angle else 'm'})", color=GREY)
+
+    return [
+        Chart(f"{kind}-floor-{one.name}-{one.quantity}", one.title, partial(draw, source=one, median=m), NARROW, None)
+        for one, m in zip(sources, medians, strict=True)
+    ]
 
 
 def write_calibration_report(
     out: Path,
     calibration: Calibration,
     report: Report,
-    figures: Mapping[str, tuple[list[Chart], list[Chart]]],
+    charts: dict[str, tuple[list[Chart], list[Chart]]],
     command: Sequence[str],
 ) -> Path:
     """Writes the page beside the file `out`, with its name and the ending .html; returns the path."""
-    counts = [len({row[0] for row in report.tables[name].rows}) for name in TABLES if name in report.tables]
-    text = page(
-        "calibration.html",
-        command,
-        title=f"Calibration on {counted(len(calibration.recordings), 'recording')}",
-        recordings=calibration.recordings,
-        report=report,
-        **report.tables,
-        figures=figures,
-        several=len(calibration.recordings) > 1,
-        most=SHOWN if max(counts, default=0) > SHOWN else None,
-        out=str(out),
+    recordings, tables = calibration.recordings, report.tables
+    words = {"stations": "station", "anchors": "anchor", "differences": "anchor"}
+    counts = {name: len({row[0] for row in tables[name].rows}) for name in TABLES if name in tables}
+    of = [
+        counted(count, words[name]) + " in range differences" * (name == "differences")
+        for name, count in counts.items()
+    ]
+    summary = f"Systematic errors of {listed(of)}, from recordings with truth: {listed(recordings, 12)}."
+    if len(recordings) < 2:
+        summary += " With a second recording this page would show the errors of readings that were left out."
+    lacking = (
+        "Terms that these recordings leave near their values before any of them, with a standard error of more than "
+        "0.7 of that before: the tag moved over too small a range of angles or distances, or the recordings are too "
+        "short."
     )
+    figures: list[str | list[Chart]] = []
+    for kind, (readings, floor) in charts.items():
+        over = (
+            f"Errors of calibrated {kind} over the floor: median errors after calibration in squares of half a metre. "
+            "Errors of one sign over large parts of the floor are systematic errors that the terms do not describe."
+        )
+        figures += [f"Calibration of {kind}", readings, over, floor]
+    most = f"Of the first {SHOWN} stations and anchors." if max(counts.values(), default=0) > SHOWN else ""
+    none = [] if report.undetermined else ["These recordings determine all terms."]
+    sections = [
+        *tables.values(),
+        Section("Not determined", ("source", "terms"), report.undetermined, 2, "" if none else lacking, parts=none),
+        Section("Figures", note=most, parts=figures),
+    ]
+    title = f"Calibration on {counted(len(recordings), 'recording')}"
+    use = f"trackwright track RECORDING --calibration {out} --out out/tracks"
+    text = report_page("calibration", title, [summary, report.note], sections, [use, typed(command)])
     return write_page(out.with_suffix(".html"), text)

@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
-from trackwright.experiments.text.wording import duration, number
-from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.wording import counted
+from trackwright.experiments.text.tables import Section
 from trackwright.trackers.recordings.atomic import atomic_write
 
 if TYPE_CHECKING:
@@ -25,9 +23,6 @@ if TYPE_CHECKING:
 CHART = '<img src="data:image/svg+xml;base64,'
 """How an image of a chart begins in a page."""
 
-WIDE = 132
-"""Characters a line of a table from which intervals are put below their values instead of beside them."""
-
 
 def page(template: str, command: Sequence[str] = (), **content: Any) -> str:
     """The page of a template; all text is escaped. Its charts can be zoomed and moved, and show their numbers.
@@ -35,13 +30,32 @@ def page(template: str, command: Sequence[str] = (), **content: Any) -> str:
     `command`: the arguments of the program that writes it, the first one its path.
     """
     environment = _environment()
-    words = shlex.join(["trackwright", *command[1:]])
-    text = environment.get_template(template).render(words=words, **content)
+    text = environment.get_template(template).render(words=typed(command), **content)
     if CHART not in text:
         return text
     scripts = environment.get_template("moving.html").render()
     before, end, after = text.rpartition("</body>")
     return before + scripts + end + after
+
+
+def report_page(
+    kind: str,
+    title: str,
+    summary: Sequence[str],
+    sections: Sequence[Section],
+    commands: Sequence[str],
+    foot: str = "",
+    warnings: Sequence[str] = (),
+) -> str:
+    """A report: a `summary` in paragraphs, warnings, sections, without those that are empty, and commands as typed."""
+    shown = [section for section in sections if section.rows or any(section.parts)]
+    told = {"summary": [*filter(None, summary)], "warnings": warnings, "commands": commands, "foot": foot}
+    return page("report.html", kind=kind, title=title, sections=shown, **told)
+
+
+def typed(command: Sequence[str]) -> str:
+    """The arguments of a program, the first one its path, as a user types them."""
+    return shlex.join(["trackwright", *command[1:]])
 
 
 def write_page(path: Path | str, text: str) -> Path:
@@ -50,18 +64,12 @@ def write_page(path: Path | str, text: str) -> Path:
 
 
 def _cell(text: str) -> str | Markup:
-    """A table cell's text with true minus signs; its interval is kept on one line."""
+    """A table cell's text with true minus signs; its interval is kept on one line, and markup as it is."""
+    if isinstance(text, Markup):
+        return text
     text = re.sub(r"(?<![\w.-])-(?=\d)", "\u2212", text)
     match = re.fullmatch(r"(\S+) (\(\S+ … \S+\))", text)
     return text if match is None else Markup('{} <span class="interval">{}</span>').format(*match.groups())
-
-
-def _is_wide(rows: Sequence[Sequence[str]]) -> bool:
-    return sum(max(map(len, column)) + 3 for column in zip(*rows, strict=True)) > WIDE
-
-
-def _thousands(count: int) -> str:
-    return f"{count:,}".replace(",", "\u202f")
 
 
 def _environment() -> Environment:
@@ -72,8 +80,7 @@ def _environment() -> Environment:
         loader=PackageLoader("trackwright.experiments.pages"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    made.filters |= {"cell": _cell, "is_wide": _is_wide, "thousands": _thousands, "number": number, "listed": listed,
-                     "counted": counted, "duration": duration}  # fmt: skip
+    made.filters["cell"] = _cell
     made.globals["plotting_script"] = _plotting_script
     return made
 

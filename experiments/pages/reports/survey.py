@@ -11,7 +11,9 @@ from matplotlib.axes import Axes
 
 from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan
 from trackwright.experiments.pages.charts.style import BLUE, GREY, Chart
-from trackwright.experiments.pages.reports.pages import page, write_page
+from trackwright.experiments.pages.reports.pages import report_page, typed, write_page
+from trackwright.experiments.text.tables import Section
+from trackwright.trackers.core.wording import counted
 from trackwright.tuning.survey.surveying import DELAY_DETERMINED, Survey
 
 
@@ -40,6 +42,14 @@ def write_survey_page(out: Path, survey: Survey, command: Sequence[str]) -> Path
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4)
 
     chart = Chart("survey", "Anchors with 95 % ellipses over the walks", draw, 7.0, None)
-    title = f"Survey of {survey.rig.name}"
-    text = page("survey.html", command, title=title, survey=survey, chart_of=chart, out=str(out))
+    walks, anchors = counted(len(survey.paths), "walk"), counted(len(survey.names), "anchor")
+    notes = "".join(f" {note[0].upper()}{note[1:]}." for note in survey.notes)
+    summary = f"Positions and delays of {anchors} from {walks} without truth.{notes}"
+    looks = {survey.head[-1]: "long"}
+    sections = [
+        Section("Anchors", survey.head, survey.rows(), 1, survey.reading, looks),
+        Section("Over the walks", parts=[[chart]]),
+    ]
+    use = f"trackwright track RECORDING --out out/tracks, with {out} as its rig.toml"
+    text = report_page("survey", f"Survey of {survey.rig.name}", [summary], sections, [use, typed(command)])
     return write_page(out.with_suffix(".html"), text)

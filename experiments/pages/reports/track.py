@@ -348,21 +348,16 @@ def error_map(recording: ScoredRecording, origin: np.ndarray) -> dict[str, Any] 
     if extent < 0.05:
         return None
     cell = _round_size(extent / CELLS)
-    corner = np.floor(low / cell)
-    place = (np.floor(true[known] / cell) - corner).astype(int)
-    shape = place.max(axis=0) + 1
-    flat = place[:, 1] * shape[0] + place[:, 0]
-    count = np.bincount(flat, minlength=int(shape.prod()))
-    total = np.bincount(flat, squares[known], int(shape.prod()))
-    rmse = np.sqrt(total / np.maximum(count, 1))
-    values = [rounded(float(r)) if n else None for r, n in zip(rmse, count, strict=True)]
-    width = int(shape[0])
+    x, y = (cell * np.arange(a, b + 2) for a, b in np.floor(np.stack([low, high], axis=1) / cell))
+    across, up = true[known].T
+    count, total = (np.histogram2d(up, across, bins=[y, x], weights=w)[0] for w in (None, squares[known]))
+    rmse = np.sqrt(total / np.where(count > 0, count, np.nan))
     return {
         "cell": cell,
-        "x": [round(float(x), 4) for x in (np.arange(width) + 0.5 + corner[0]) * cell],
-        "y": [round(float(y), 4) for y in (np.arange(int(shape[1])) + 0.5 + corner[1]) * cell],
-        "rmse": [values[k : k + width] for k in range(0, len(values), width)],
-        "count": count.reshape(-1, width).tolist(),
+        "x": (x[:-1] + cell / 2).round(4).tolist(),
+        "y": (y[:-1] + cell / 2).round(4).tolist(),
+        "rmse": [[rounded(value) for value in row] for row in rmse.tolist()],
+        "count": count.astype(int).tolist(),
     }
 
 

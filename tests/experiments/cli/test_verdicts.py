@@ -135,10 +135,16 @@ def test_a_fit_that_ended_early_is_written_and_says_so(tmp_path):
 
 
 def test_a_tuned_number_without_a_unit_has_none_in_the_table():
-    parameters = select_parameters(tw.fix_tracker(dof=4.0), ["sensors.fixes.*"])
+    tracker = tw.fix_tracker(dof=4.0)
+    parameters = select_parameters(tracker, ["sensors.fixes.*"])
     values = by_label(parameters, flatten(parameters))
     result = SimpleNamespace(
-        parameters=parameters, values=values, starts=[[SimpleNamespace(values=values)]], start_value=1.0, value=0.5
+        tracker=tracker,
+        parameters=parameters,
+        values=values,
+        starts=[[SimpleNamespace(values=values)]],
+        start_value=1.0,
+        value=0.5,
     )
     units = {line.split()[0]: line.split()[4:] for line in table(result, "nll", {}).splitlines()}
     assert (units["sensors.fixes.dof"], units["sensors.fixes.sigma_horizontal"]) == ([], ["m"])

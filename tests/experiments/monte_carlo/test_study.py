@@ -13,7 +13,7 @@ from trackwright.experiments.monte_carlo.errors import BINS, TrackedRuns, _histo
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import StopRule, run_study
 from trackwright.experiments.monte_carlo.sources import load_study
-from trackwright.experiments.pages.reports.study_text import to_text
+from trackwright.experiments.pages.reports.study import to_text
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation

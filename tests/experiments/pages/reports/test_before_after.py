@@ -11,7 +11,7 @@ import trackwright as tw
 from tests.browser import chromium, watched
 from tests.experiments.pages.charts.small_runs import chart_data
 from tests.experiments.pages.reports.tuning_report_data import report_data, walk
-from trackwright.experiments.pages.charts.tuning import PLAN_POINTS, plan_chart
+from trackwright.experiments.pages.charts.tuning import plan_chart
 from trackwright.experiments.pages.reports.before_after import MOST_PLANS, compare, track_changes, tracked
 from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.tuning import tuning_page
@@ -108,13 +108,6 @@ def test_ellipses_before_and_after_are_of_the_same_times_and_hold_95_percent(thr
     assert times[0] == times[1]
 
 
-def test_the_plan_includes_the_anchors(three):
-    chart = chart_data(plan_chart(three[2].shown[1]).address)
-    (mark,) = (t for t in chart["data"] if t.get("marker", {}).get("symbol") == "triangle-up")
-    assert (mark["x"], mark["y"]) == ([0.0], [0.0])
-    assert [(a["x"], a["y"], a["text"]) for a in chart["layout"]["annotations"]] == [(0.0, 0.0, "A")]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1300, 400])
 def test_the_plans_are_drawn_in_a_browser(three, tmp_path, width):
@@ -170,19 +163,6 @@ def test_without_truth_there_are_paths_and_no_errors():
     assert {t.rmse for t in found.shown} == {""}
     assert {"before", "after"} < set(_traces(found.shown[0])) - {"truth"}
     assert "truth" not in _traces(found.shown[0])
-
-
-def test_a_long_track_keeps_its_ends_and_its_largest_error():
-    folders = [walk("long", 6, rows=6000, sigmas=ONE)]
-    trackers, found = _run(folders)
-    path, every = (
-        _drawn(_traces(found.shown[0])["after"]),
-        trackers[1].run(folders).table.select("x_m", "y_m").to_numpy(),
-    )
-    assert len(path) <= PLAN_POINTS + 2
-    truth = folders[0].tables["truth"].select("x_m", "y_m").to_numpy()
-    for row in (0, -1, int(np.argmax(np.linalg.norm(every - truth, axis=1)))):
-        assert np.isclose(path, every[row], rtol=1e-4, atol=1e-5).all(axis=1).any()
 
 
 def test_of_directions_there_are_errors_in_degrees_and_no_plans():
@@ -256,10 +236,3 @@ def test_a_recording_without_truth_has_no_errors(walks):
     blind = next(row for row in found.rows if row[0] == "blind")
     assert blind[1:5] == ("– → –",) * 4
     assert "–" not in blind[5]
-
-
-def test_recordings_tracked_beside_those_shown_change_nothing(walks):
-    folders, trackers = walks
-    sides = _both(trackers, folders)
-    found, alone = (compare(x, folders[:1], 2, "a") for x in (sides, _both(trackers, folders[:1])))
-    assert found[:4] == alone[:4]

@@ -73,7 +73,7 @@ def test_times_that_count_from_1970_are_shown_since_the_first_reading(tracks, tm
     plain = run_data(tracks, NO_EVENTS, None, "uwb")["recordings"][0]
     assert (plain["start"], plain["timeLabel"]) == (3.0, "time (s)")
     figures = []
-    monkeypatch.setattr(style.FigureCanvasAgg, "print_png", lambda canvas, *_, **__: figures.append(canvas.figure))
+    monkeypatch.setattr(style.Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
     monkeypatch.setattr(style, "atomic_write", lambda path, write: write(path))
     plot_tracks(tmp_path, unix)
     over_time = [axes for figure in figures for axes in figure.axes if axes.get_xlabel().startswith("time")]

@@ -7,7 +7,7 @@ import pytest
 
 import trackwright as tw
 from tests.experiments.pages.reports.tuning_report_data import walk
-from trackwright.experiments.pages.reports.tuning_data import _parameters, _runs, collect
+from trackwright.experiments.pages.reports.tuning import _runs, collect, tuned_parameters
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.tuning.data import FitData, fit_data
@@ -31,7 +31,7 @@ def run():
     issues = [IdentifiabilityIssue((PATTERNS[0],), "an issue")]
     data = FitData(group.tracker, parse_objective(NLL), NLL, group.planar, 3, training, held_out, "recordings")
     collected = collect(result, data, NLL, intervals_of(result), issues)
-    return result, replace(collected, command="trackwright tune a b", tracker="fix-kf")
+    return result, replace(collected, tracker="fix-kf")
 
 
 def test_parameters_are_those_of_the_fit_and_one_with_an_issue_is_not_determined(run):
@@ -47,7 +47,8 @@ def test_parameters_are_those_of_the_fit_and_one_with_an_issue_is_not_determined
 
 def test_the_metrics_of_the_objective_are_those_of_the_fit(run):
     result, data = run
-    before, after = data.metric(NLL).training
+    (metric,) = (metric for metric in data.metrics if metric.key == NLL)
+    before, after = metric.training
     # single precision, rows added in another order
     assert (before, after) == pytest.approx((result.start_value, result.value), rel=1e-4)
     assert {s.key for s in data.metrics} == {"nll", "rmse", "rmse-3d", "state-nll"}
@@ -57,7 +58,6 @@ def test_recordings_tuned_on_and_held_out_are_kept_apart(run):
     _, data = run
     assert data.training == ("a", "b")
     assert data.held_out == ("c", "d")
-    assert data.evaluated_on == "held-out recordings"
     assert [len(np.unique(side.trajectory)) for side in data.innovations] == [2, 2]
 
 
@@ -81,8 +81,8 @@ def test_the_surface_is_least_at_the_optimum(run):
 
 def test_without_any_interval_it_is_unknown_what_is_determined(run):
     result, _ = run
-    assert [n.determined for n in _parameters(result, {}, [])] == [None, None]
-    assert [n.determined for n in _parameters(result, {}, [IdentifiabilityIssue((PATTERNS[0],), "an issue")])] == [
+    assert [n.determined for n in tuned_parameters(result, {}, [])] == [None, None]
+    assert [n.determined for n in tuned_parameters(result, {}, [IdentifiabilityIssue((PATTERNS[0],), "an issue")])] == [
         False,
         None,
     ]
@@ -93,7 +93,7 @@ def test_the_spread_of_readings_that_a_heavy_tail_implies_is_said():
     folder = tw.simulate.ranges(n=1, seed=3, rows=40).folder()
     data = fit_data(tw.build("uwb", folder).only_batch([folder]), NLL)
     result = fit(data.tracker, data.rows(), data.objective, ("sensors.ranges.sigma_r",), FitOptions(steps=1, starts=1))
-    (parameter,) = _parameters(result, {}, [], _runs(result.tracker, data.training))
+    (parameter,) = tuned_parameters(result, {}, [], _runs(result.tracker, data.training))
     model, measured = parameter.spread.split("; measured about the estimates: 68 % within ± ")
     assert model.startswith("by the model: 68 % of the readings within ± 0.")
     truth, ranges = (folder.tables[name].drop_nulls() for name in ("truth", "ranges"))

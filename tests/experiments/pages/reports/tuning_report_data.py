@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.pages.reports.before_after import ErrorTrack
-from trackwright.experiments.pages.reports.tuning_data import (
+from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChanges
+from trackwright.experiments.pages.reports.tuning import (
     MetricChange,
     OptimiserTrace,
     TunedParameter,
@@ -49,8 +49,7 @@ def report_data(**changes) -> TuningReportData:
         for k in range(5)
     )  # fmt: skip
     made = TuningReportData(
-        command="trackwright tune line-a line-b --held-out line-c line-d --out tuned",
-        next_commands=("trackwright track RECORDING --noise tuned/tuned.toml --out tracked",
+        commands=("trackwright track RECORDING --noise tuned/tuned.toml --out tracked",
                "trackwright tune line-a line-b --held-out line-c line-d --out tuned"),
         tracker="line-grid",
         tracker_about="position on a known path, by a grid of arclength and speed",
@@ -65,13 +64,11 @@ def report_data(**changes) -> TuningReportData:
         ),
         traces=tuple(OptimiserTrace(0.1327 + a, w) for a, w in zip(away, ways, strict=True)),
         surface=Surface((0, 1), grids, 0.1327 + x**2 + y**2 + 0.4 * x * y),
-        evaluated_on="held-out recordings",
         innovations=(innovations(0.55), innovations(1.0, 7)),
-        errors=tracks,
+        plans=TrackChanges((), 0, tracks),
         error_unit="m",
         filter_runs=4321,
         seconds=47.3,
-        provenance=(("trackwright", "0.1.0"), ("created", "2026-01-02 03:04 UTC")),
     )  # fmt: skip
     return TuningReportData(**(vars(made) | changes))
 
