@@ -1,6 +1,6 @@
 """Bias, spread, slope, delay and outliers of the readings of each anchor, station or tag against truth.
 
-And how the columns of signal quality go with the errors, and with readings that repeat.
+And how the columns of signal quality go with the errors.
 """
 
 from __future__ import annotations
@@ -33,9 +33,6 @@ CORRELATED = 10
 
 LEAST_RATED = 40
 """Least number of readings with a true value and a quality."""
-
-MOST_MARKS, MARKED, CERTAIN = 4, 0.1, 5.0
-"""Most values of a column that marks readings; how much more often marked ones repeat, at least, and in deviations."""
 
 
 class Residuals(NamedTuple):
@@ -226,26 +223,6 @@ def check_quality(recording: RecordingFolder, name: str) -> Iterator[CheckResult
         if parts:
             what = f"{column} and errors against truth less the median of each {kind.noun}"
             yield CheckResult("info", name, f"{what}: {'; '.join(parts)}")
-
-
-def check_marks(recording: RecordingFolder, name: str) -> Iterator[CheckResult]:
-    """A warning for each value of a column of quality with which readings repeat the one before more than with others.
-
-    So do exchanges that failed, whose readings are old ones.
-    """
-    table, layout = recording.tables[name], KINDS[name].layout(recording.tables[name].columns)
-    same = pl.all_horizontal(pl.col(value) == pl.col(value).shift() for value in layout.values).over(*layout.ids)
-    repeats = table.select(same.fill_null(False)).to_series().to_numpy()
-    for column in layout.quality:
-        values = table[column].drop_nulls().unique().sort()
-        for value in values if 2 <= len(values) <= MOST_MARKS else ():
-            marked = (table[column] == value).fill_null(False).to_numpy()
-            share, rest = repeats[marked].mean(), repeats[~marked].mean()
-            deviation = np.sqrt(repeats.var() * (1 / marked.sum() + 1 / (~marked).sum()))
-            if share - rest > max(MARKED, CERTAIN * deviation):
-                rows = f"{100 * share:.0f} % of the {marked.sum()} rows with {column} = {value:g} repeat the row before"
-                ask = "exchanges that failed? leave them out by where of a mapping"
-                yield CheckResult("warning", name, f"{rows}, {100 * rest:.0f} % of the others: {ask}")
 
 
 def _relation(quality: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"], unit: str) -> str:

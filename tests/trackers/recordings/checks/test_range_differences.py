@@ -14,7 +14,7 @@ from trackwright.sim.differences import CORNERS, simulate_differences
 from trackwright.sim.ranging import chamber
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.checks.all_checks import check
-from trackwright.trackers.recordings.checks.anomalies import anomalies
+from trackwright.trackers.recordings.checks.sampling import anomalies
 from trackwright.trackers.recordings.checks.compared import compared
 from trackwright.trackers.recordings.checks.residuals import residuals
 from trackwright.trackers.recordings.folder import read_recording
