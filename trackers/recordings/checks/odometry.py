@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float
 
 from trackwright.trackers.recordings.checks import CheckResult
-from trackwright.trackers.recordings.checks.compared import median_of
 from trackwright.trackers.recordings.checks.imu import LEAST_WINDOWS, SAME_LIFT, Delay, best_delay
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import layout
@@ -110,7 +109,7 @@ def _wrong(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], k: int) -> st
     sign = float(np.sign(x * y) @ np.abs(y)) / np.abs(y).sum()
     if abs(sign) < SURE:
         return None
-    (unit, way), factor = EXPECTED[k], median_of(np.abs(x)) / median_of(np.abs(y))
+    (unit, way), factor = EXPECTED[k], float(np.median(np.abs(x)) / np.median(np.abs(y)))
     words = [] if sign > 0 else [f"has the wrong sign, expected positive {way}; flip it"]
     if not FACTORS[k][0] <= factor <= FACTORS[k][1]:
         named = (

@@ -12,7 +12,7 @@ from scipy.stats import spearmanr
 
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.checks.all_checks import check
-from trackwright.trackers.recordings.checks.compared import compared, median_of, robust_fit
+from trackwright.trackers.recordings.checks.compared import compared, robust_fit
 from trackwright.trackers.recordings.checks.residuals import residuals
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -100,10 +100,3 @@ def test_a_robust_fit_ignores_a_fifth_of_wild_errors():
     found, size = robust_fit(lambda p: (p[0] * x + p[1] - y)[:, None], np.zeros(2))
     assert found == pytest.approx(true, abs=0.03)
     assert size < 0.06
-
-
-def test_the_median_is_that_of_numpy_to_the_bit():
-    rng = np.random.default_rng(0)
-    for count in (1, 2, 3, 4, 100, 501):
-        x = rng.normal(size=count).round(1)
-        assert median_of(x) == np.median(x)
