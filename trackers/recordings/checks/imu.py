@@ -15,7 +15,6 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float
 
-from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.checks.changes import SignedAxes, signed_axes
@@ -125,8 +124,7 @@ def _against_attitude(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult] |
     if delay.fit < SAME_TURN:
         return None
     wrong = _scale(np.linalg.norm(_measured_rates(rows, times + delay.late), axis=1), sizes)
-    wrong = wrong or _other_quaternions(rows, attitude, delay.late)
-    wrong = wrong or [x for one in _vectors(rows, attitude, delay.late) for x in _axes(*one)]
+    wrong = wrong or list(_axes(rows, attitude, delay.late))
     return [*delay.told("imu", "the truth's attitude", STEP_S, 2), *wrong]
 
 
@@ -207,21 +205,21 @@ def best_delay(
     return Delay(late, float(np.std(without)) * np.sqrt(BLOCKS), fit)
 
 
-def _vectors(rows: ImuRows, attitude: Attitude, late: float) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """What the IMU measures and what truth implies of it (n, 3), by name."""
-    times, rates = attitude.rates()
-    at = spaced(times, 0.5)
-    force = between(rows.times, rows.pushed, at + late - 0.5, at + late + 0.5)
-    turned = _measured_rates(rows, times + late)
-    for name, measured, true in (("turn rates", turned, rates), ("accelerations", force, 9.81 * attitude.up(at))):
+def _axes(rows: ImuRows, attitude: Attitude, late: float) -> Iterator[CheckResult]:
+    """Other axes of the turn rates than the true ones, or quaternions read otherwise, with which both fit."""
+    tried = dict[str, tuple[float, SignedAxes]]()
+    for change, order, signs in reversed(READ_AS):
+        other = attitude._replace(quaternions=attitude.quaternions[:, order] * signs)
+        times, true = other.rates()
+        measured = _measured_rates(rows, times + late)
         known = np.isfinite(measured).all(axis=1)
-        if known.sum() >= LEAST_WINDOWS:
-            yield name, measured[known], true[known]
-
-
-def _axes(name: str, measured: np.ndarray, true: np.ndarray) -> Iterator[CheckResult]:
-    """Other axes of the measured vectors than the true ones; an error where they make a mirrored frame."""
-    error, axes = _best_axes(measured, true, f"the {name}")
+        measured, true = measured[known], true[known]
+        tried[change] = _best_axes(measured, true, "the turn rates")
+    best, (error, axes) = min(tried.items(), key=lambda one: one[1][0]), tried[READ_AS[0][0]]
+    if error >= WORSE * best[1][0]:
+        message = f"turn rates fit the truth's attitude only with {best[0]}; correct the columns qw, qx, qy, qz of the "
+        yield CheckResult("error", "truth", f"{message}truth")
+        return
     left, _, right = np.linalg.svd(measured.T @ true)
     turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     angle = float(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
@@ -229,25 +227,14 @@ def _axes(name: str, measured: np.ndarray, true: np.ndarray) -> Iterator[CheckRe
     if _error(measured, true) < WORSE * min(error, turned):
         return
     if error < WORSE * turned:
-        message = f"{name} fit the truth's attitude only with {axes.words}; correct the axes"
+        message = (
+            f"turn rates fit the truth's attitude only with {axes.words}; correct the axes of the gyro, and those "
+        )
+        message += "of the accelerometer where both share one chip"
         yield CheckResult("error" if np.linalg.det(axes.matrix) < 0 else "warning", "imu", message)
-    elif angle > SMALL_TURN and name == "turn rates":
+    elif angle > SMALL_TURN:
         message = f"axes are turned by {np.degrees(angle):.0f}° against the body axes of the truth's attitude"
         yield CheckResult("warning", "imu", message)
-
-
-def _other_quaternions(rows: ImuRows, attitude: Attitude, late: float) -> list[CheckResult]:
-    """An error where turn rates fit the attitude once its quaternions are read otherwise, and with no other axes."""
-    errors = {}
-    for change, order, signs in READ_AS:
-        other = attitude._replace(quaternions=attitude.quaternions[:, order] * signs)
-        (_, measured, true), *_ = _vectors(rows, other, late)
-        errors[change] = _best_axes(measured, true, "")[0]
-    best = min(errors, key=lambda change: errors[change])
-    if errors[READ_AS[0][0]] < WORSE * errors[best]:
-        return []
-    message = f"turn rates fit the truth's attitude only with {best}; correct the columns qw, qx, qy, qz of the truth"
-    return [CheckResult("error", "truth", message)]
 
 
 def _best_axes(measured: np.ndarray, true: np.ndarray, of: str) -> tuple[float, SignedAxes]:
@@ -334,11 +321,6 @@ class Attitude(NamedTuple):
         size = np.linalg.norm(vector, axis=1)
         turn = 2.0 * np.arctan2(size, np.abs(scalar)) * np.where(scalar < 0, -1.0, 1.0) / np.maximum(size, 1e-12)
         return (self.times + span / 2)[known], turn[:, None] * vector / span[known, None]
-
-    def up(self, times: np.ndarray) -> Float[np.ndarray, "n 3"]:
-        """The world's z in body axes (n, 3), of the rows before `times`."""
-        row = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 1)
-        return np.asarray(rotation_matrices(self.quaternions[row])[:, 2, :])
 
 
 def true_attitude(truth: pl.DataFrame) -> Attitude | None:

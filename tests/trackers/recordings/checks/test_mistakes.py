@@ -255,6 +255,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "signs of the gyro": Case("error", "only with the signs of x, y, z of the turn rates flipped", with_columns("imu", *FLIPPED)),
         "x and y swapped": Case("error", "only with x and y of the turn rates swapped;", with_columns("imu", *SWAPPED), None),
         "x and y of the gyro swapped": Case("error", "only with x and y of the turn rates swapped;", with_columns("imu", *_exchange(GYRO))),
+        "x and y of the accelerometer swapped": Case("error", "only with x and y of the turn rates swapped", with_columns("imu", *_exchange(ACCEL))),
         "upside down": Case("warning", "only with the signs of y, z of the turn rates flipped", with_columns("imu", *DOWN)),
         "turn rates in rpm": Case(
             "error", "turn rates are 9.6 times those of the truth's attitude: looks like rpm", with_columns("imu", C(GYRO) * 9.5493),
