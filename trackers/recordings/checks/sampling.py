@@ -77,8 +77,8 @@ def with_value(table: pl.DataFrame, values: Sequence[str]) -> pl.DataFrame:
 
 def streams(table: pl.DataFrame, ids: Sequence[str]) -> pl.DataFrame:
     """The table sorted by stream, then time, with `stream` (its number) and `dt`, s, null in its first row."""
-    table = table.sort("t_s", maintain_order=True).with_row_index("row")
-    table = table.sort([pl.col("row").min().over(column) for column in ids], maintain_order=True).drop("row")
+    table = table.sort("t_s", maintain_order=True).with_columns(stream=pl.int_range(pl.len()))
+    table = table.sort([pl.col("stream").min().over(column) for column in ids], maintain_order=True)
     return table.with_columns(stream=pl.struct(ids).rle_id()).with_columns(dt=pl.col("t_s").diff().over("stream"))
 
 
