@@ -227,8 +227,8 @@ def _axes(rows: ImuRows, attitude: Attitude, late: float) -> Iterator[CheckResul
     if _error(measured, true) < WORSE * min(error, turned):
         return
     if error < WORSE * turned:
-        message = f"turn rates fit the truth's attitude only with {axes.words}; correct the axes of the gyro, and of the"
-        message += " accelerometer where both share one chip"
+        message = f"turn rates fit the truth's attitude only with {axes.words}; correct the axes of the gyro,"
+        message += " and of the accelerometer where both share one chip"
         yield CheckResult("error" if np.linalg.det(axes.matrix) < 0 else "warning", "imu", message)
     elif angle > SMALL_TURN:
         message = f"axes are turned by {np.degrees(angle):.0f}° against the body axes of the truth's attitude"
