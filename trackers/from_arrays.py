@@ -25,7 +25,7 @@ from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.range_rows import range_inputs
 from trackwright.trackers.parts.ranges import RANGES
-from trackwright.trackers.recordings.checks.coverage import check_time_unit
+from trackwright.trackers.recordings.checks import sampling
 from trackwright.trackers.recordings.checks.units import check_units
 
 COARSE_M = 1e-3
@@ -187,7 +187,7 @@ def _refuse_other_units(
     """
     for result in check_units(rig, {name: pl.DataFrame(columns)}):
         raise UnusableInput(f"{function}: {result.message.replace('from the rig', 'from their middle')}")
-    for result in check_time_unit({name: pl.DataFrame({"t_s": times})}):
+    for result in sampling.check_times({name: pl.DataFrame({"t_s": times})}, base=False):
         if result.level == "error":
             raise UnusableInput(f"{function}: times: {result.message}")
         warnings.warn(f"{function}: times: {result.message}", stacklevel=3)

@@ -22,7 +22,7 @@ from trackwright.trackers.core.data.seconds import moment, seconds
 from trackwright.trackers.core.errors import UnusableInput, has_control, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.atomic import beside
-from trackwright.trackers.recordings.checks.anomalies import anomalies
+from trackwright.trackers.recordings.checks.sampling import anomalies
 from trackwright.trackers.recordings.columns import TableRows, TagRows
 from trackwright.trackers.recordings.kinds import KINDS, Layout, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text

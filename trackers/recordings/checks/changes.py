@@ -25,7 +25,6 @@ places do alike, and that nearer to rig.toml's is named."""
 
 LEAST_OFFSET_M, LEAST_SCALE, LEAST_TURN, LEAST_SHIFT_M, LEAST_YAW = 1.0, 0.05, np.radians(15.0), 0.4, np.radians(4.0)
 FARTHEST_M = 200.0  # shift up to which phases are compared with the truth: far on the boresight all are equal
-
 COARSE, STARTS, MOST_SWAPPED, CLEAR = 240, 5, 32, 1.5
 """Readings of the first search, starts that go on, anchors compared with each other's places, and the sum of log
 ratios from which two count as swapped."""
@@ -124,35 +123,22 @@ def exchanged(count: int, i: int, j: int) -> np.ndarray:
 
 def changes(view: Compared) -> Iterator[Change]:
     """The changes of readings, truth and rig without fitted numbers."""
-    kind, sensors, noun = view.kind, view.sensors, view.kind.noun
-    places, correct = sensors.places, "; correct rig.toml"
+    kind, sensors, noun, correct = view.kind, view.sensors, view.kind.noun, "; correct rig.toml"
     for words, cause, of, typical in value_changes(kind, len(view.columns)):
         groups = None
         if typical is not None:
-            sizes = np.array([np.nanmedian(np.abs(view.values[view.group == k])) for k in range(len(view.ids))])
-            groups = (sizes > typical[0]) & (sizes < typical[1])
+            sizes = view.sizes(view.values, bias=False)
+            groups = (np.nanmedian(sizes, axis=1) > typical[0]) & (np.nanmedian(sizes, axis=1) < typical[1])
         # The unit of a difference is that of a message.
         by_group = bool(kind.sensors) and not kind.difference
         yield Change(words, cause, {"values": of(view.values)}, by_group=by_group, groups=groups)
-    if kind.sensors:
-        of_places = [
-            (f"the sign of {x} of the position flipped", f"{x} in rig.toml has the wrong sign; flip it",
-             places * np.where(np.arange(3) == k, -1.0, 1.0)) for k, x in enumerate("xyz")
-        ]  # fmt: skip
-        swapped = "x and y of the position swapped", "x and y in rig.toml are swapped", places[:, [1, 0, 2]]
-        for words, cause, other in (*of_places, swapped):
-            moved = np.linalg.norm(other - places, axis=1) > LEAST_MOVE_M
-            yield Change(words, cause, {"places": other}, 1, True, moved, place=True)
-    if noun == "station":
-        q = view.rotations
-        for words, cause, other in (
-            ("rotation_wxyz read as x, y, z, w", "the quaternion is written x, y, z, w; reorder it", np.roll(q, 1, 1)),
-            ("rotation_wxyz inverted", "the quaternion takes world vectors to array vectors; invert it (negate "
-             "x, y, z)", q * np.array([1.0, -1.0, -1.0, -1.0])),
-        ):  # fmt: skip
-            axes = rotation_matrices(other / np.linalg.norm(other, axis=1, keepdims=True))
-            differs = np.abs(np.abs(np.einsum("gi,gi->g", other, q)) - 1.0) > 1e-3
-            yield Change(words, cause, {"axes": axes}, by_group=True, groups=differs)
+    for words, cause, other in _other_places(sensors.places) if kind.sensors else ():
+        moved = np.linalg.norm(other - sensors.places, axis=1) > LEAST_MOVE_M
+        yield Change(words, cause, {"places": other}, 1, True, moved, place=True)
+    for words, cause, other in _other_rotations(view.rotations) if noun == "station" else ():
+        axes = rotation_matrices(other / np.linalg.norm(other, axis=1, keepdims=True))
+        differs = np.abs(np.abs(np.einsum("gi,gi->g", other, view.rotations)) - 1.0) > 1e-3
+        yield Change(words, cause, {"axes": axes}, by_group=True, groups=differs)
     if kind.numbered:
         at, behind = sensors.antennas, "antennas seen from behind, or {} with the wrong sign" + correct
         for words, cause, other in (
@@ -161,9 +147,8 @@ def changes(view: Compared) -> Iterator[Change]:
             ("x and y of antennas_m swapped", f"x and y of antennas_m are swapped{correct}", at[..., ::-1]),
         ):
             yield Change(words, cause, {"antennas": other}, by_group=True)
-        for (f, unit), name in product(list(FACTORS.items())[:2], ("antennas", "wavelengths")):
-            column, them = ("antennas_m", "them") if name == "antennas" else ("wavelength_m", "it")
-            cause = f"{column} in {unit}, expected metres; convert {them}"
+        for f, (name, column) in product((0.001, 0.01), (("antennas", "antennas_m"), ("wavelengths", "wavelength_m"))):
+            cause = f"{column} in {FACTORS[f]}, expected metres; convert {'them' if name == 'antennas' else 'it'}"
             groups = _resolving(view, f if name == "antennas" else 1 / f)
             fields = {name: f * getattr(sensors, name)}
             yield Change(f"{column} multiplied by {f:g}", cause, fields, by_group=True, groups=groups)
@@ -172,13 +157,27 @@ def changes(view: Compared) -> Iterator[Change]:
         yield Change(f"the truth multiplied by {f:g}", cause, {"positions": f * view.positions})
         if kind.sensors:
             cause = f"positions in rig.toml in {unit}, expected metres; convert them"
-            yield Change(f"the positions of the {noun}s multiplied by {f:g}", cause, {"places": f * places})
-    for one in signed_axes("the truth"):
-        if one.changes:
-            # The maker's height is often of no use, or mirrored in the plane of the anchors.
-            harmless = kind.position and one.words == "the sign of z of the truth flipped"
-            fields, cause = {"positions": view.positions @ one.matrix.T}, _frame(view, "has other axes than")
-            yield Change(one.words, cause, fields, harmless=harmless, handicap=1.0 + 0.01 * one.changes)
+            yield Change(f"the positions of the {noun}s multiplied by {f:g}", cause, {"places": f * sensors.places})
+    _, *others = signed_axes("the truth")
+    for one in others:
+        # The maker's height is often of no use, or mirrored in the plane of the anchors.
+        harmless = kind.position and one.words == "the sign of z of the truth flipped"
+        fields, cause = {"positions": view.positions @ one.matrix.T}, _frame(view, "has other axes than")
+        yield Change(one.words, cause, fields, harmless=harmless, handicap=1.0 + 0.01 * one.changes)
+
+
+def _other_places(places: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
+    for k, x in enumerate("xyz"):
+        signs = np.where(np.arange(3) == k, -1.0, 1.0)
+        yield f"the sign of {x} of the position flipped", f"{x} in rig.toml has the wrong sign; flip it", places * signs
+    yield "x and y of the position swapped", "x and y in rig.toml are swapped", places[:, [1, 0, 2]]
+
+
+def _other_rotations(q: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
+    cause = "the quaternion is written x, y, z, w; reorder it"
+    yield "rotation_wxyz read as x, y, z, w", cause, np.roll(q, 1, 1)
+    cause = "the quaternion takes world vectors to array vectors; invert it (negate x, y, z)"
+    yield "rotation_wxyz inverted", cause, q * [1.0, -1.0, -1.0, -1.0]
 
 
 def _resolving(view: Compared, factor: float | np.ndarray) -> np.ndarray:
@@ -227,14 +226,15 @@ def signed_axes(of: str) -> Iterator[SignedAxes]:
 class Each(NamedTuple):
     """A change with numbers (G, p) of each anchor or station: `fields(view, numbers)`, fitted from `starts(view, k)`.
 
-    `given`: the numbers without it. `counts(numbers)` (G,): which are a mistake. `part`: one of them in words.
+    `given`: the numbers without it, or the fitted ones where there are no `starts`. `counts(numbers)` (G,): which are a
+    mistake. `part`: one of them in words.
     """
 
     words: str
     cause: str
     fields: Callable[[Compared, np.ndarray], dict[str, np.ndarray]]
     given: np.ndarray
-    starts: Callable[[Compared, int], Sequence[np.ndarray]]
+    starts: Callable[[Compared, int], Sequence[np.ndarray]] | None
     counts: Callable[[np.ndarray], np.ndarray]
     part: Callable[[np.ndarray], str]
     systematic: bool = False
@@ -245,18 +245,32 @@ def _grid(low: float, high: float, step: float) -> Callable[[Compared, int], Seq
     return lambda part, k: list(np.arange(low, high, step)[:, None])
 
 
+def _less_offsets(view: Compared, x: np.ndarray) -> dict[str, np.ndarray]:
+    """The readings without the offsets of their anchors, which the two of a difference have in it."""
+    other = x[view.sensors.number[:, 1]] if view.kind.difference else 0.0
+    return {"values": view.values - (x[view.group] - other)}
+
+
 def _by_each(view: Compared) -> Iterator[Each]:
     kind, sensors, zero = view.kind, view.sensors, np.zeros((len(view.ids), 1))
     turn, degrees = _grid(-np.pi, np.pi, np.radians(5.0)), lambda x: f"by {np.degrees(half_turns(x))[0]:.0f}°"
     turned = lambda x: np.abs(half_turns(x[:, 0])) >= LEAST_TURN  # noqa: E731
     other = "another orientation than rig.toml's"
-    for sign, name in ((1.0, "turned"), (-1.0, "turned and its sign flipped")) if kind.angles else ():
-        cause = f"{other}, or another zero of the azimuth; correct rotation_wxyz"
-
-        def azimuths(view: Compared, x: np.ndarray, sign: float = sign) -> dict[str, np.ndarray]:
-            return {"values": view.values * [sign, 1.0] - x[view.group] * [1.0, 0.0]}
-
-        yield Each(f"the azimuth {name}", cause, azimuths, zero, turn, turned, degrees, sign > 0)
+    if kind.sensors and kind.unit == "m":
+        # Many tags see an anchor in the corner from one side, so that its place is an offset to them.
+        place = ", or of another position" if kind.difference else ""
+        yield Each(
+            f"a constant subtracted from the {kind.name}",
+            f"an offset of the {kind.name}, as of an uncalibrated antenna delay{place}; calibrate the anchors",
+            _less_offsets, view.medians(view.errors()), None,
+            lambda x: np.abs(x[:, 0]) >= LEAST_OFFSET_M, lambda x: f"{x[0]:+.2f} m", systematic=True,
+        )  # fmt: skip
+    if kind.angles:
+        yield Each(
+            "the azimuth turned", f"{other}, or another zero of the azimuth; correct rotation_wxyz",
+            lambda view, x: {"values": view.values - x[view.group] * [1.0, 0.0]}, zero, turn, turned, degrees,
+            systematic=True,
+        )  # fmt: skip
     if kind.numbered:
         yield Each(
             "another wavelength", "a wrong wavelength_m, or antennas_m in another scale; correct rig.toml",
@@ -280,8 +294,6 @@ def _by_each(view: Compared) -> Iterator[Each]:
 
 def fitted_changes(view: Compared, large: Bool[np.ndarray, " G"]) -> Iterator[Change]:
     """The changes with numbers fitted to the readings; `large` (G,): the groups whose errors need an explanation."""
-    if view.kind.sensors and view.kind.unit == "m":
-        yield from _offset_and_scale(view)
     for one in _by_each(view):
         numbers, fitted = np.array(one.given, float), []
         for k in np.flatnonzero(large).tolist():
@@ -310,6 +322,8 @@ def _of_one(part: Compared, one: Each, k: int) -> np.ndarray:
         numbers[k] = x
         return one.fields(some, numbers)
 
+    if one.starts is None:
+        return np.asarray(one.given[k])
     best = _fitted(part, fields, one.starts(part, k))
     if one.place:
         centre = part.positions.mean(axis=0)
@@ -333,27 +347,6 @@ def _fitted(
     starts = sorted(starts, key=lambda x: float(np.nanmean(np.log1p(np.abs(errors(x, few))))))[:STARTS]
     rough = min((robust_fit(lambda x: errors(x, few), start, 8) for start in starts), key=lambda fit: fit[1])[0]
     return robust_fit(errors, rough, 4)[0]
-
-
-def _offset_and_scale(view: Compared) -> Iterator[Change]:
-    name, offset = view.kind.name, view.medians(view.errors())
-    subtracted, place = offset[view.group], ""
-    if view.kind.difference:
-        # Many tags see an anchor in the corner from one side, so that its place is an offset to them.
-        subtracted, place = subtracted - offset[view.sensors.number[:, 1]], ", or of another position"
-    cause = f"an offset of the {name}, as of an antenna delay that is not calibrated{place}; calibrate the anchors"
-    yield Change(
-        f"a constant subtracted from the {name}", cause, {"values": view.values - subtracted}, 1, True,
-        np.abs(offset[:, 0]) >= LEAST_OFFSET_M, systematic=True, parts=tuple(f"{x:+.2f} m" for x in offset[:, 0]),
-    )  # fmt: skip
-    if view.kind.distance:
-        ratio = view.medians(view.values / np.maximum(view.predicted(), 0.1))
-        cause = f"a scale error of the {name}; check their unit and the clock of the device"
-        yield Change(
-            f"the {name} divided by a constant", cause, {"values": view.values / np.where(ratio, ratio, 1)[view.group]},
-            1, True, np.abs(np.log(np.maximum(np.abs(ratio[:, 0]), 1e-6))) > LEAST_SCALE, systematic=True,
-            parts=tuple(f"{x:.3f}" for x in ratio[:, 0]),
-        )  # fmt: skip
 
 
 def half_turns(angles: np.ndarray) -> np.ndarray:

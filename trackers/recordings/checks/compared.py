@@ -75,8 +75,8 @@ class Compared(NamedTuple):
             for k, (a, b) in enumerate(pairwise(ends)):
                 known = x[a:b][np.isfinite(x[a:b])]
                 if 2 * len(known) >= max(b - a, 1):
-                    middle = min(max(median_of(known), -bound), bound) if bound else 0.0
-                    sizes[k, column] = median_of(np.abs(known - middle))
+                    middle = min(max(float(np.median(known)), -bound), bound) if bound else 0.0
+                    sizes[k, column] = np.median(np.abs(known - middle))
         return sizes
 
     def medians(self, errors: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "G m"]:
@@ -113,15 +113,6 @@ class Compared(NamedTuple):
         """Some of the readings, by a mask, a slice or their numbers."""
         of_rows = {name: getattr(self, name)[part] for name in ("group", "tag", "times", "values", "positions")}
         return self.changed(**of_rows, number=self.sensors.number[part])
-
-
-def median_of(x: np.ndarray) -> float:
-    """The median of values without NaN, as of `np.median`, which takes three times as long for some hundred of them."""
-    half = len(x) // 2
-    if len(x) % 2:
-        return float(np.partition(x, half)[half])
-    low, high = np.partition(x, (half - 1, half))[half - 1 : half + 1]
-    return float((low + high) / 2)
 
 
 def compared(recording: RecordingFolder, table: str) -> Compared | None:
@@ -165,6 +156,11 @@ def compared(recording: RecordingFolder, table: str) -> Compared | None:
     return view.changed(**of_used)._replace(ids=tuple(compress(ids, used)))
 
 
+def cauchy_weights(errors: np.ndarray, scale: float | np.ndarray) -> np.ndarray:
+    """The weights of errors with this robust standard deviation; less their logarithm is the loss of each."""
+    return np.asarray(1.0 / (1.0 + (errors / (CUT / 3 * scale)) ** 2))
+
+
 def robust_fit(
     errors: Callable[[np.ndarray], Float[np.ndarray, "N m"]], start: Float[np.ndarray, " k"], steps: int = STEPS
 ) -> tuple[Float[np.ndarray, " k"], float]:
@@ -173,24 +169,21 @@ def robust_fit(
     Levenberg-Marquardt with Cauchy's weights. Derivatives are differences over 1e-6 of each number's unit.
     """
 
-    def loss(e: np.ndarray, scale: float) -> float:
-        return float(np.log1p((e / (CUT / 3 * scale)) ** 2).sum())
-
     x, damping = np.asarray(start, float), 1e-2
     raw = errors(x).ravel()
     for _ in range(steps):
         e = np.nan_to_num(raw)
         scale = max(1.4826 * float(np.median(np.abs(e))), 1e-9)
-        weights = 1.0 / (1.0 + (e / (CUT / 3 * scale)) ** 2)
+        weights = cauchy_weights(e, scale)
         # Where one of the two errors is unknown, as at the first time of the truth, there is no difference.
         J = np.nan_to_num(np.stack([(errors(x + 1e-6 * unit).ravel() - raw) / 1e-6 for unit in np.eye(len(x))], axis=1))
-        normal, gradient, before = (J.T * weights) @ J, (J.T * weights) @ e, loss(e, scale)
+        normal, gradient, before = (J.T * weights) @ J, (J.T * weights) @ e, -np.log(weights).sum()
         # Damped in proportion to the largest curvature too: a height that is hardly seen would go far in one step.
         ridge = np.diag(np.diag(normal) + 0.1 * np.diag(normal).max() + 1e-12)
         for _ in range(6):
             step = np.linalg.solve(normal + damping * ridge, -gradient)
             trial = errors(x + step).ravel()
-            if loss(np.nan_to_num(trial), scale) < before:
+            if -np.log(cauchy_weights(np.nan_to_num(trial), scale)).sum() < before:
                 damping = max(damping / 5, 1e-9)
                 break
             damping *= 10

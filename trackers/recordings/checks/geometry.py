@@ -25,24 +25,16 @@ from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 from trackwright.trackers.recordings.truth import TruePaths
 
-WEAK_RANGES = 5.0  # m per m above which a coordinate counts as weakly determined
-WEAK_ANGLES = 0.5  # m per degree
-POINTS = 400  # positions at which dilution is evaluated, at most
-_ONE_DEGREE = np.radians(1.0)
-_STEP_M = 1e-4
-"""Half the distance over which slopes are taken: third derivatives and rounding are both below 1e-9."""
+WEAK = {"m": 5.0, "rad": 0.5}
+"""Dilution above which a coordinate counts as weakly determined, m per m and m per degree."""
 
-OFF_M = 0.5
-"""Difference of heights, m, from which it counts as a mistake."""
+POINTS, STEP_M, ONE_DEGREE = 400, 1e-4, np.radians(1.0)
+"""Positions at which dilution is evaluated, at most, and half the distance, m, over which slopes are taken: third
+derivatives and rounding are both below 1e-9."""
 
-OFFSET_M = 0.1
-"""Difference, m and as a share, of distances between tags of a body from which their offsets are wrong."""
-
-FARTHEST_OFFSET_M = 20.0
-"""Length of an offset, m, beyond which it is in another unit."""
-
-SHORT = 0.5
-"""Share of a tag's ranges shorter than its height above or below the anchors from which the height counts as wrong."""
+OFF_M, SHORT, OFFSET_M, FARTHEST_OFFSET_M = 0.5, 0.5, 0.1, 20.0
+"""What counts as a mistake: of heights, a difference, m, and the share of distances shorter than a height; of tags on a
+body, a difference of distances, m and as a share, and the length of an offset, m, which is in another unit."""
 
 
 class Dilution(NamedTuple):
@@ -69,16 +61,16 @@ def information(
     count, columns = len(positions), len(kind.columns)
     sensors = kind.sensors_of(rig, names, np.tile(number, (count, 1)), columns)
     at = np.repeat(positions, len(ids), axis=0)
-    sides = [kind.values_at(at + sign * _STEP_M * axis, sensors) for axis in np.eye(3) for sign in (1.0, -1.0)]
+    sides = [kind.values_at(at + sign * STEP_M * axis, sensors) for axis in np.eye(3) for sign in (1.0, -1.0)]
     slopes = np.stack(
         [wrapped(up - down, kind.least) for up, down in zip(sides[::2], sides[1::2], strict=True)], axis=-1
     )
-    jacobian = slopes.reshape(count, len(ids) * columns, 3) / (2.0 * _STEP_M)
+    jacobian = slopes.reshape(count, len(ids) * columns, 3) / (2.0 * STEP_M)
     if kind.difference:
         # Whitened: the arrival at the first anchor gives all differences a correlation of ½.
         shared = (1.0 - len(names) ** -0.5) / len(ids)
         jacobian = math.sqrt(2.0) * (jacobian - shared * jacobian.sum(axis=1, keepdims=True))
-    sigma = 1.0 if kind.unit == "m" else _ONE_DEGREE
+    sigma = 1.0 if kind.unit == "m" else ONE_DEGREE
     return np.asarray(np.einsum("pki,pkj->pij", jacobian, jacobian) / sigma**2)
 
 
@@ -110,25 +102,24 @@ def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[Che
     """Sensor geometry and the dilution of precision that follows from it."""
     positions, where = _positions(rig, tables)
     known_height = bool(rig.tags) and all(tag.height is not None for tag in rig.tags.values())
-    of_anchors = any(kind.noun == "anchor" and name in tables for name, kind in KINDS.items())
-    if "fixes" in tables and rig.anchors and not of_anchors:
+    kinds = {name: kind for name, kind in KINDS.items() if name in tables and kind.sensors}
+    if "fixes" in tables and rig.anchors and all(kind.noun != "anchor" for kind in kinds.values()):
         yield from _flat(np.stack(list(rig.anchors.values())), known_height)
-    observed = {name: ids for name, kind in KINDS.items() if name in tables and (ids := _observed(tables[name], kind))}
+    observed = {name: ids for name, kind in kinds.items() if (ids := _observed(tables[name], kind))}
     # An array of phases is as good as the two angles that they give.
-    kinds = [KINDS["bearings"] if KINDS[name].numbered else KINDS[name] for name in observed]
-    told = [information(kind, rig, ids, positions) for kind, ids in zip(kinds, observed.values(), strict=True)]
+    same = {name: KINDS["bearings"] if kinds[name].numbered else kinds[name] for name in observed}
+    told = {name: information(same[name], rig, ids, positions) for name, ids in observed.items()}
     # A distance and a direction are a position, each alone is none.
-    together = len(told) > 1 and not _weak(dilution(np.sum(told, axis=0)), WEAK_RANGES, known_height)
-    for (name, ids), kind, of_kind in zip(observed.items(), kinds, told, strict=True):
-        known = kind.places(rig)
-        used = {key: known[key] for row in ids for key in row}
+    together = len(told) > 1 and not _weak(dilution(np.sum(list(told.values()), axis=0)), WEAK["m"], known_height)
+    for name, ids in observed.items():
+        used = {key: kinds[name].places(rig)[key] for row in ids for key in row}
         places = np.stack(list(used.values()))
         for (one, at), (other, there) in combinations(used.items(), 2):
             if np.linalg.norm(at - there) < 1e-3:
                 message = f"{one} and {other} have the same position; correct one in rig.toml"
                 yield CheckResult("warning", "rig.toml", message)
-        if kind.noun == "anchor":
-            least = 3 if not kind.difference else 4 if known_height else 5
+        if kinds[name].noun == "anchor":
+            least = 3 if not kinds[name].difference else 4 if known_height else 5
             yield from () if together and len(used) < least else _flat(places, known_height, least)
         elif len(used) == 1:
             message = f"only station {next(iter(used))} is observed: bearings, no position without a known height"
@@ -137,13 +128,12 @@ def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[Che
         elif len(used) > 2 and shape(places)[0] == "line":
             message = "the stations are collinear: positions near their line are weakly determined"
             yield CheckResult("warning", "rig.toml", message)
-        yield _dilution_result(name, kind, dilution(of_kind), known_height, where, together)
+        level, message = _dilution_result(same[name], dilution(told[name]), known_height, where, together)
+        yield CheckResult(level, name, message)
 
 
 def _observed(table: pl.DataFrame, kind: Kind) -> list[tuple[str, ...]]:
-    """The different sensors of readings of a table; none of readings without sensors."""
-    if not kind.sensors:
-        return []
+    """The different sensors of readings of a table."""
     seen = table.filter(pl.col(kind.least[0]).is_not_null())
     return seen.select(kind.sensors).unique(maintain_order=True).rows()
 
@@ -156,8 +146,7 @@ def _positions(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> tuple[np.ndarray
             return chosen, f"at {len(chosen)} true positions"
     centre = np.mean(rig.places() or [np.zeros(3)], axis=0)
     heights = [tag.height for tag in rig.tags.values() if tag.height is not None]
-    if heights:
-        centre[2] = np.median(heights)
+    centre[2] = np.median(heights) if heights else centre[2]
     return centre[None, :], "at the centre of the rig" + (" and the height of the tags" if heights else "")
 
 
@@ -186,41 +175,44 @@ def _weak(seen: Dilution, limit: float, known_height: bool) -> bool:
     return any(bool(np.median(values) > limit) for values in estimated)
 
 
-def _dilution_result(
-    table: str, kind: Kind, seen: Dilution, known_height: bool, where: str, together: bool
-) -> CheckResult:
+def _dilution_result(kind: Kind, seen: Dilution, known_height: bool, where: str, together: bool) -> tuple[Level, str]:
     """Median and worst dilution; a warning if weak, unless only all tables `together` determine positions."""
-    unit, limit = "m per degree of angle noise", WEAK_ANGLES
-    if kind.unit == "m":
-        unit, limit = f"m per m of {kind.columns[0].name.removesuffix('_m').replace('_', ' ')} noise", WEAK_RANGES
-    weak = _weak(seen, limit, known_height)
-    shown = [
-        [f"{x:.3g}" if np.isfinite(x) else "undetermined" for x in (np.median(values), np.max(values))]
-        for values in seen
-    ]
-    horizontal, vertical, at_height = (f"{median} ({worst})" for median, worst in shown)
+    what = kind.columns[0].name.removesuffix("_m").replace("_", " ")
+    unit = f"m per m of {what} noise" if kind.unit == "m" else "m per degree of angle noise"
+    horizontal, vertical, at_height = (
+        "{} ({})".format(*(f"{x:.3g}" if np.isfinite(x) else "undetermined" for x in (np.median(one), np.max(one))))
+        for one in seen
+    )
     message = (
         f"dilution of precision, median (worst): horizontal {horizontal}, vertical {vertical}, horizontal at known "
         f"height {at_height} {unit}, {where}"
     )
     if together and np.isinf(np.median(seen.horizontal)):
-        return CheckResult("info", table, f"{message}; with the other tables positions are determined")
-    if weak:
-        remedy = "move or add a sensor" if known_height else "give height_m of the tags, or move or add a sensor"
-        message += f"; weakly determined: {remedy}"
-    return CheckResult("warning" if weak else "info", table, message)
+        return "info", f"{message}; with the other tables positions are determined"
+    if not _weak(seen, WEAK[kind.unit], known_height):
+        return "info", message
+    remedy = "" if known_height else "give height_m of the tags, or "
+    return "warning", f"{message}; weakly determined: {remedy}move or add a sensor"
 
 
 def check_heights(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
     """An error for each tag of known height that truth or ranges contradict."""
     heights = {tag: known.height for tag, known in rig.tags.items() if known.height is not None}
-    if not heights:
-        return
-    contrary: dict[str, str] = {}
+    height, contrary = pl.col("tag").replace_strict(heights, default=None, return_dtype=pl.Float64), dict[str, str]()
     for name, kind in KINDS.items():
-        if name in tables and kind.distance:
-            contrary |= _short_distances(rig, tables[name], kind, heights)
-    contrary |= _true_heights(tables["truth"], heights) if "truth" in tables else {}
+        if heights and name in tables and kind.distance:
+            z = pl.col(kind.noun).replace_strict({key: float(at[2]) for key, at in rig.anchors.items()}, default=None)
+            short = (pl.col(kind.columns[0].name) < (z - height).abs() - OFF_M).mean().alias("short")
+            for tag, share in tables[name].group_by("tag", maintain_order=True).agg(short).iter_rows():
+                if share is not None and share > SHORT:
+                    contrary[tag] = f"{100 * share:.0f} % of its {kind.name} are shorter than the difference of "
+                    contrary[tag] += f"height to their {kind.noun}s; correct it"
+    truth = tables["truth"].group_by("tag", maintain_order=True) if heights and "truth" in tables else None
+    for tag, z in () if truth is None else truth.agg(pl.col("z_m").median()).iter_rows():
+        if z is not None and tag in heights and abs(z - heights[tag]) > OFF_M:
+            below = "height_m has the wrong sign" if z > 0 else "z of the truth points down; flip its sign"
+            fix = below if abs(z + heights[tag]) <= OFF_M else "one of the two is wrong"
+            contrary[tag] = f"z of its truth is typically {z:.2f} m: {fix}"
     for tag, why in contrary.items():
         yield CheckResult("error", "rig.toml", f"height_m of tag {tag} is {heights[tag]:g}, but {why}")
 
@@ -286,30 +278,3 @@ def without_height(rig: Rig, fixes: TagRows) -> list[str]:
     has_x, has_z = (np.logical_or.reduceat(column, fixes.starts[:-1]) for column in (x, z))
     known = {tag for tag, one in rig.tags.items() if one.height is not None}
     return [fixes.tags[k] for k in np.flatnonzero(has_x & ~has_z) if fixes.tags[k] not in known]
-
-
-def _true_heights(truth: pl.DataFrame, heights: Mapping[str, float]) -> dict[str, str]:
-    """For each tag whose true heights are elsewhere: where."""
-    typical = truth.filter(pl.col("tag").is_in(list(heights))).group_by("tag", maintain_order=True)
-    elsewhere = {}
-    for tag, z in typical.agg(pl.col("z_m").median()).iter_rows():
-        if z is not None and abs(z - heights[tag]) > OFF_M:
-            below = "height_m has the wrong sign" if z > 0 else "z of the truth points down; flip its sign"
-            fix = below if abs(z + heights[tag]) <= OFF_M else "one of the two is wrong"
-            elsewhere[tag] = f"z of its truth is typically {z:.2f} m: {fix}"
-    return elsewhere
-
-
-def _short_distances(rig: Rig, table: pl.DataFrame, kind: Kind, heights: Mapping[str, float]) -> dict[str, str]:
-    """For each tag most of whose distances are too short for its height: how many."""
-    distance = kind.columns[0].name
-    rows = table.filter(pl.col("tag").is_in(list(heights)) & pl.col(distance).is_not_null())
-    z = pl.col(kind.noun).replace_strict({key: float(at[2]) for key, at in rig.anchors.items()}, default=None)
-    least = (z - pl.col("tag").replace_strict(dict(heights))).abs() - OFF_M
-    shares = rows.group_by("tag", maintain_order=True).agg((pl.col(distance) < least).mean())
-    return {
-        tag: f"{100 * share:.0f} % of its {kind.name} are shorter than the difference of height to their {kind.noun}s; "
-        "correct it"
-        for tag, share in shares.iter_rows()
-        if share is not None and share > SHORT
-    }

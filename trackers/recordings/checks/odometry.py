@@ -12,17 +12,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from trackwright.trackers.recordings.checks import CheckResult, Level
-from trackwright.trackers.recordings.checks.compared import median_of
-from trackwright.trackers.recordings.checks.imu import (
-    BETTER_TURN,
-    LATENCY_S,
-    LEAST_DELAY_S,
-    LEAST_WINDOWS,
-    SAME_LIFT,
-    best_delay,
-    late_in_words,
-)
+from trackwright.trackers.recordings.checks import CheckResult
+from trackwright.trackers.recordings.checks.imu import LEAST_WINDOWS, SAME_LIFT, Delay, best_delay
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import layout
 
@@ -55,13 +46,13 @@ def check_odometry(recording: RecordingFolder) -> Iterator[CheckResult]:
         whole = first + np.flatnonzero(np.isfinite(values[first:end]).all(axis=1))
         seen = next((one for one in (tag, *recording.rig.on_body_of(tag)) if one in known), None)
         if seen is not None and len(whole) >= LEAST_WINDOWS:
-            for level, message in _of_tag(rows.times[whole], values[whole], recording, seen):
-                yield CheckResult(level, "odometry", f"tag {tag}: {message}")
+            for one in _of_tag(rows.times[whole], values[whole], recording, seen):
+                yield CheckResult(one.level, one.where, f"tag {tag}: {one.message}")
 
 
 def _of_tag(
     times: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 2"], recording: RecordingFolder, tag: str
-) -> Iterator[tuple[Level, str]]:
+) -> Iterator[CheckResult]:
     held = np.minimum(np.diff(times), HELD_S)[:, None]
     sums = np.concatenate([np.zeros((1, 2)), np.cumsum(values[:-1] * held, axis=0)])
 
@@ -75,19 +66,18 @@ def _of_tag(
     first, last = recording.paths.of_tag(tag)[0][[0, -1]].tolist()
     at = np.arange(first, last, HALF_S / 2)
     true, signed = _true(recording, tag, at)
-    late, fit = 0.0, 0.0
+    delay = Delay(0.0, 0.0, 0.0)
     for k in (1, 0):
         known = np.isfinite(true[k])
-        if fit < SAME_LIFT and known.sum() >= LEAST_WINDOWS:
-            late, fit = best_delay(partial(size, k), at[known], np.abs(true[k][known]), BETTER_TURN)
-    late = late if fit >= SAME_LIFT else 0.0
-    if abs(late) >= 2 * LEAST_DELAY_S:
-        yield "error" if abs(late) > LATENCY_S else "warning", late_in_words(late, "the truth's motion", 1)
+        if delay.fit < SAME_LIFT and known.sum() >= LEAST_WINDOWS:
+            delay = best_delay(partial(size, k), at[known], np.abs(true[k][known]))
+    late = delay.late if delay.fit >= SAME_LIFT else 0.0
+    yield from delay.told("odometry", "the truth's motion", 0.2, 1) if late else ()
     for k, y in enumerate(true):
         x = measured(k, at + late) if k or signed else size(k, at + late)
         known = np.isfinite(x) & (np.abs(y) > LEAST[k])
         if known.sum() >= LEAST_WINDOWS and (wrong := _wrong(x[known], y[known], k)):
-            yield "error", f"{COLUMNS[k]} {wrong}"
+            yield CheckResult("error", "odometry", f"{COLUMNS[k]} {wrong}")
 
 
 def _true(recording: RecordingFolder, tag: str, at: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "2 n"], bool]:
@@ -119,7 +109,7 @@ def _wrong(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], k: int) -> st
     sign = float(np.sign(x * y) @ np.abs(y)) / np.abs(y).sum()
     if abs(sign) < SURE:
         return None
-    (unit, way), factor = EXPECTED[k], median_of(np.abs(x)) / median_of(np.abs(y))
+    (unit, way), factor = EXPECTED[k], float(np.median(np.abs(x)) / np.median(np.abs(y)))
     words = [] if sign > 0 else [f"has the wrong sign, expected positive {way}; flip it"]
     if not FACTORS[k][0] <= factor <= FACTORS[k][1]:
         named = (

@@ -18,45 +18,26 @@ from trackwright.trackers.recordings.columns import stable_order
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, unit_of, wrapped
 
-MOST_ROWS = 100_000
-"""Readings of a table that are looked at."""
+MOST_ROWS, MOST_DIFFERENCES, MOST_TIMES = 100_000, 20_000, 10_000
+"""Readings of a table that are looked at, of a column whose differences are, and pairs that tell a lag's interval."""
 
-LINE_S = 2.0
-"""Time, s, over which a line is put through readings."""
-
-LEAST_ROWS = 5
-"""Least number of readings of a line."""
+LINE_S, LEAST_ROWS, LEAST_VALUES, LEAST_PAIRS = 2.0, 5, 20, 50
+"""Time, s, over which a line is put through readings; least numbers of readings of a line, of differences of which a
+step is looked for, and of pairs of errors at a lag."""
 
 FEW, MANY = 0.01, 0.2
 """Share of repeated readings that is reported, and that is a warning."""
 
-MOST_DIFFERENCES = 20_000
-"""Readings of a column whose differences are looked at."""
-
-MULTIPLES = 0.95
-"""Least share of the differences that are multiples of a step."""
-
-NEAR = 0.02
-"""Distance from a multiple, in steps: one in 25 differences of a continuous value is as near."""
+MULTIPLES, NEAR, COARSE = 0.95, 0.02, 0.1
+"""Of quantisation: the least share of the differences that are multiples of a step; the distance from a multiple, in
+steps: one in 25 differences of a continuous value is as near; and the least step that is reported, relative to the
+scatter of the readings: a finer one adds nothing to their noise."""
 
 CANDIDATES = np.array([0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3])
 """Quantiles of the differences that are tried as steps."""
 
-COARSE = 0.1
-"""Least step that is reported, relative to the scatter of the readings: a finer one adds nothing to their noise."""
-
-_LEAST_VALUES = 20
-
-LEAST_PAIRS = 50
-"""Least number of pairs of errors at a lag."""
-
-MOST_TIMES = 10_000
-"""Pairs whose median interval is that of a lag."""
-
 BOUND = 4.0
 """Robust standard deviations at which errors are cut off: outliers would hide the correlation of the others."""
-
-_LEVEL = math.exp(-1.0)
 
 
 class Readings(NamedTuple):
@@ -105,25 +86,21 @@ def about_local_line(read: Readings) -> Float[np.ndarray, "N m"]:
         seen = np.flatnonzero(np.isfinite(read.values[:, k]))
         if not len(seen):
             continue
-        x, stream, t = read.values[seen, k], read.stream[seen], read.times[seen] - read.times.mean()
+        x, t = read.values[seen, k], read.times[seen] - read.times.mean()
         x = np.unwrap(x) if column.endswith("_rad") else x - np.mean(x)
         # Streams one after another on one axis of time, too far apart to share a line.
-        at = t + (np.ptp(t) + 2 * LINE_S) * stream
-        first = np.searchsorted(at, at - LINE_S / 2, side="left")
-        end = np.searchsorted(at, at + LINE_S / 2, side="right")
+        at = t + (np.ptp(t) + 2 * LINE_S) * read.stream[seen]
+        first, end = (
+            np.searchsorted(at, at + way * LINE_S / 2, side="left" if way < 0 else "right") for way in (-1, 1)
+        )
+        sums = np.cumsum(np.pad(np.stack([t, x, t * t, t * x], axis=1), ((1, 0), (0, 0))), axis=0)
         count = end - first
-        mean_t, mean_x, square, product = (_sums(y, first, end) / count for y in (t, x, t * t, t * x))
+        mean_t, mean_x, square, product = ((sums[end] - sums[first]) / count[:, None]).T
         variance = square - mean_t**2
         slope = (product - mean_t * mean_x) / np.where(variance > 0, variance, 1.0)
         line = mean_x + slope * (t - mean_t)
         differences[seen, k] = np.where((count >= LEAST_ROWS) & (variance > 0), x - line, np.nan)
     return differences
-
-
-def _sums(x: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The sums of x[first:end]."""
-    sums = np.concatenate([[0.0], np.cumsum(x)])
-    return sums[end] - sums[first]
 
 
 def known_median(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
@@ -133,28 +110,43 @@ def known_median(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
 
 def robust_std(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
     """The standard deviation (m,) of each column from its median size, blind to outliers; 0 without any value."""
-    return np.array(
-        [1.4826 * float(np.median(np.abs(c[np.isfinite(c)]))) if np.isfinite(c).any() else 0.0 for c in x.T]
-    )
+    return np.nan_to_num(1.4826 * known_median(np.abs(x)))
 
 
 def check_readings(recording: RecordingFolder, name: str) -> Iterator[CheckResult]:
     """Repeats, quantisation steps and the correlation time of the readings of a table."""
     read, kind = readings(recording, name), KINDS[name]
-    about = about_local_line(read)
-    share = repeated_share(read)
+    about, share, steps = about_local_line(read), repeated_share(read), dict[float, list[str]]()
     if share >= FEW:
         of = "tag and pair of anchors" if kind.difference else " and ".join(kind.layout(()).ids)
         message = f"repeated readings: {100 * share:.2g} % of the rows equal the previous row of the same {of}"
         expected = "; expected one row per measurement" if share >= MANY else ""
         yield CheckResult("warning" if share >= MANY else "info", name, message + expected)
-    for line in _quantisation(read, robust_std(about)):
-        yield CheckResult("info", name, line)
+    for k, (column, scatter) in enumerate(zip(read.columns, robust_std(about), strict=True)):
+        if (found := quantisation_step(read, k)) is not None and found >= COARSE * scatter:
+            steps.setdefault(float(f"{found:.3g}"), []).append(column)
+    for step, columns in steps.items():
+        unit = unit_of(columns[0])
+        degrees = f" ({math.degrees(step):.3g}°)" if unit == "rad" else ""
+        message = (
+            f"quantised: {', '.join(columns)} in steps of {step:.3g} {unit}{degrees}; their standard deviation is "
+        )
+        yield CheckResult("info", name, f"{message}at least step/√12 = {step / math.sqrt(12):.2g} {unit}")
+    true = bool(np.isfinite(read.errors).any())
     # A local line through an IMU or phases does not follow the motion.
-    if kind.averaged:
-        true = bool(np.isfinite(read.errors).any())
-        for line in _correlations(read, read.errors if true else about, true):
-            yield CheckResult("info", name, line)
+    for k, column in enumerate(read.columns if kind.averaged else ()):
+        known = autocorrelation(read, (read.errors if true else about)[:, k])
+        if known is None or not (true or known.resolved):
+            continue
+        what = f"errors of {column} against truth" if true else f"{column} about a line through {LINE_S:g} s"
+        lasting = f"uncorrelated after {known.interval:.2g} s"
+        if known.resolved:
+            size = float(f"{2 * known.time / known.interval:.2g}")
+            lasting = f"correlated for {'' if known.ended else 'more than '}{known.time:.2g} s"
+            lasting += f"; effective sample size: 1 in {size:g} readings"
+            lasting += "" if true else " at most; slower errors only show against truth"
+        message = f"{what}: standard deviation {known.sigma:.2g} {unit_of(column)}, {lasting}"
+        yield CheckResult("info", name, message)
 
 
 def repeated_share(read: Readings) -> float:
@@ -175,22 +167,6 @@ def changes(read: Readings) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, "
     return stream[1:] == stream[:-1], np.where(np.isnan(moved), np.inf, moved)
 
 
-def _quantisation(read: Readings, scatter: np.ndarray) -> Iterator[str]:
-    """The quantisation steps of columns that are coarse beside the `scatter` (m,) of their readings."""
-    by_step: dict[float, list[str]] = {}
-    for k, column in enumerate(read.columns):
-        step = quantisation_step(read, k)
-        if step is not None and step >= COARSE * scatter[k]:
-            by_step.setdefault(float(f"{step:.3g}"), []).append(column)
-    for step, columns in by_step.items():
-        unit = unit_of(columns[0])
-        degrees = f" ({math.degrees(step):.3g}°)" if unit == "rad" else ""
-        yield (
-            f"quantised: {', '.join(columns)} in steps of {step:.3g} {unit}{degrees}; "
-            f"their standard deviation is at least step/√12 = {step / math.sqrt(12):.2g} {unit}"
-        )
-
-
 def quantisation_step(read: Readings, column: int) -> float | None:
     """The quantisation step of a column, in its unit; None where its values are not multiples of one."""
     x, stream = read.values[:MOST_DIFFERENCES, column], read.stream[:MOST_DIFFERENCES]
@@ -200,7 +176,7 @@ def quantisation_step(read: Readings, column: int) -> float | None:
     differences = np.abs(wrapped(np.diff(x)[:, None], (read.columns[column],))[:, 0][stream[1:] == stream[:-1]])
     resolution = 1e-12 * (1.0 + np.abs(x).max(initial=0.0))
     differences = differences[differences > resolution]
-    if len(differences) < _LEAST_VALUES:
+    if len(differences) < LEAST_VALUES:
         return None
     spacings = np.diff(np.sort(x[stream == np.bincount(stream).argmax()]))
     candidates = np.concatenate([spacings[spacings > resolution], differences])
@@ -227,22 +203,6 @@ class Correlation(NamedTuple):
     sigma: float
 
 
-def _correlations(read: Readings, errors: np.ndarray, true: bool) -> Iterator[str]:
-    """The autocorrelation time of each column's `errors` (N, m): against truth, or about a local line."""
-    for k, column in enumerate(read.columns):
-        found = autocorrelation(read, errors[:, k])
-        if found is None or not (true or found.resolved):
-            continue
-        what = f"errors of {column} against truth" if true else f"{column} about a line through {LINE_S:g} s"
-        lasting = f"uncorrelated after {found.interval:.2g} s"
-        if found.resolved:
-            size = float(f"{2 * found.time / found.interval:.2g}")
-            lasting = f"correlated for {'' if found.ended else 'more than '}{found.time:.2g} s"
-            lasting += f"; effective sample size: 1 in {size:g} readings"
-            lasting += "" if true else " at most; slower errors only show against truth"
-        yield f"{what}: standard deviation {found.sigma:.2g} {unit_of(column)}, {lasting}"
-
-
 def autocorrelation(read: Readings, errors: np.ndarray) -> Correlation | None:
     """The autocorrelation of errors (N,) along the streams; None for too few of them, or constant ones."""
     seen = np.isfinite(errors)
@@ -258,7 +218,7 @@ def autocorrelation(read: Readings, errors: np.ndarray) -> Correlation | None:
         return None
     x = np.clip(x, -BOUND * sigma, BOUND * sigma)
     variance = float(np.mean(x * x))
-    before, at, interval, lag = 1.0, 0.0, math.nan, 1
+    before, at, interval, lag, level = 1.0, 0.0, math.nan, 1, math.exp(-1.0)
     longest = counts.max() // 4
     while lag <= longest:
         pairs = stream[lag:] == stream[:-lag]
@@ -269,8 +229,8 @@ def autocorrelation(read: Readings, errors: np.ndarray) -> Correlation | None:
         later = float(np.median((times[lag:][some] - times[:-lag][some])[pairs[some]]))
         interval = later if lag == 1 else interval
         value = float(np.einsum("n,n->", x[lag:] * pairs, x[:-lag])) / count / variance
-        if value < _LEVEL:
-            fallen = at + (later - at) * (before - _LEVEL) / (before - value)
+        if value < level:
+            fallen = at + (later - at) * (before - level) / (before - value)
             return Correlation(fallen, interval, lag > 1, True, sigma)
         before, at, lag = value, later, max(lag + 1, int(1.25 * lag))
     return None if math.isnan(interval) else Correlation(at, interval, True, False, sigma)

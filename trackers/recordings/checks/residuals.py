@@ -1,12 +1,13 @@
 """Bias, spread, slope, delay and outliers of the readings of each anchor, station or tag against truth.
 
-And how the columns of signal quality go with the errors, and with readings that repeat.
+And how the columns of signal quality go with the errors.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -19,23 +20,12 @@ from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, wrapped
 
-OUTLIER = 5.0
-"""Robust standard deviations beyond which a reading is an outlier."""
+OUTLIER, SHOWN = 5.0, 24
+"""Robust standard deviations beyond which a reading is an outlier; most anchors, stations or tags with a line each."""
 
-SHOWN = 24
-"""Most anchors, stations or tags that get a line each."""
-
-LAG_S = 0.1
-"""Half the time over which the rate of a predicted reading is taken, s."""
-
-CORRELATED = 10
-"""Readings that weigh as one, for the standard errors of slope and delay: errors last."""
-
-LEAST_RATED = 40
-"""Least number of readings with a true value and a quality."""
-
-MOST_MARKS, MARKED, CERTAIN = 4, 0.1, 5.0
-"""Most values of a column that marks readings; how much more often marked ones repeat, at least, and in deviations."""
+LAG_S, CORRELATED, LEAST_RATED = 0.1, 10, 40
+"""Half the time over which the rate of a predicted reading is taken, s; readings that weigh as one for the standard
+errors of slope and delay, since errors last; least number of readings with a true value and a quality."""
 
 
 class Residuals(NamedTuple):
@@ -138,41 +128,35 @@ def check_residuals(view: Compared) -> Iterator[CheckResult]:
 
     A warning where the azimuths of all stations are off to one side by more than a station's own error.
     """
-    entries = [] if view.kind.numbered else residuals(view)
+    kind = view.kind
+    entries = [] if kind.numbered else residuals(view)
     turned = np.array([entry.bias for entry in entries if entry.column == "azimuth_rad"])
     one_side = len(turned) and abs(np.sign(turned).sum()) == len(turned)
-    if one_side and np.abs(turned).min() >= view.kind.columns[0].bias:
+    if one_side and np.abs(turned).min() >= kind.columns[0].bias:
         off = f"azimuths of all stations are off by about {_size(float(np.median(turned)), view, '+')}"
         fix = "turned against rig.toml; correct rotation_wxyz, or calibrate"
-        yield CheckResult("warning", view.kind.name, f"{off}: {fix}")
-    for line in _lines(entries, view):
-        yield CheckResult("info", view.kind.name, line)
-
-
-def _lines(entries: Sequence[Residuals], view: Compared) -> Iterator[str]:
-    if view.kind.numbered:
-        yield from _of_arrays(view)
+        yield CheckResult("warning", kind.name, f"{off}: {fix}")
+    if kind.numbered:
+        lines = [_of_array(view, k) for k in range(min(len(view.ids), SHOWN))]
     elif len(view.ids) > SHOWN:
-        yield from (_of_many([entry for entry in entries if entry.column == column], view) for column in view.columns)
+        lines = [_of_many([entry for entry in entries if entry.column == column], view) for column in view.columns]
     else:
-        of_groups = ([entry for entry in entries if entry.group == name] for name in view.ids)
-        yield from (_of_group(group, view) for group in of_groups if group)
+        lines = [_of_group(list(group), view) for _, group in groupby(entries, lambda entry: entry.group)]
+    yield from (CheckResult("info", kind.name, line) for line in lines)
 
 
-def _of_arrays(view: Compared) -> Iterator[str]:
-    """A line for each station: the offsets of its antennas, and the spread and outliers of its phases about them."""
-    errors = view.errors()
-    for k, name in enumerate(view.ids[:SHOWN]):
-        e = errors[view.group == k]
-        e = e[:, np.isfinite(e).any(axis=0)]
-        offset = np.nanmedian(e, axis=0)
-        about = wrapped(e - offset, view.columns[: e.shape[1]])
-        about = about[np.isfinite(about)]
-        spread = 1.4826 * float(np.median(np.abs(about)))
-        yield (
-            f"{view.kind.noun} {name} against truth: offsets of antennas {offset.min():+.2f} to {offset.max():+.2f} "
-            f"rad, spread {spread:.2f} rad, outliers {100 * _outlying(about, spread).mean():.2g} %"
-        )
+def _of_array(view: Compared, k: int) -> str:
+    """The offsets of a station's antennas, and the spread and outliers of its phases about them."""
+    e = view.errors()[view.group == k]
+    e = e[:, np.isfinite(e).any(axis=0)]
+    offset = np.nanmedian(e, axis=0)
+    about = wrapped(e - offset, view.columns[: e.shape[1]])
+    about = about[np.isfinite(about)]
+    spread = 1.4826 * float(np.median(np.abs(about)))
+    return (
+        f"{view.kind.noun} {view.ids[k]} against truth: offsets of antennas {offset.min():+.2f} to {offset.max():+.2f} "
+        f"rad, spread {spread:.2f} rad, outliers {100 * _outlying(about, spread).mean():.2g} %"
+    )
 
 
 def _of_group(entries: Sequence[Residuals], view: Compared) -> str:
@@ -226,26 +210,6 @@ def check_quality(recording: RecordingFolder, name: str) -> Iterator[CheckResult
         if parts:
             what = f"{column} and errors against truth less the median of each {kind.noun}"
             yield CheckResult("info", name, f"{what}: {'; '.join(parts)}")
-
-
-def check_marks(recording: RecordingFolder, name: str) -> Iterator[CheckResult]:
-    """A warning for each value of a column of quality with which readings repeat the one before more than with others.
-
-    So do exchanges that failed, whose readings are old ones.
-    """
-    table, layout = recording.tables[name], KINDS[name].layout(recording.tables[name].columns)
-    same = pl.all_horizontal(pl.col(value) == pl.col(value).shift() for value in layout.values).over(*layout.ids)
-    repeats = table.select(same.fill_null(False)).to_series().to_numpy()
-    for column in layout.quality:
-        values = table[column].drop_nulls().unique().sort()
-        for value in values if 2 <= len(values) <= MOST_MARKS else ():
-            marked = (table[column] == value).fill_null(False).to_numpy()
-            share, rest = repeats[marked].mean(), repeats[~marked].mean()
-            deviation = np.sqrt(repeats.var() * (1 / marked.sum() + 1 / (~marked).sum()))
-            if share - rest > max(MARKED, CERTAIN * deviation):
-                rows = f"{100 * share:.0f} % of the {marked.sum()} rows with {column} = {value:g} repeat the row before"
-                ask = "exchanges that failed? leave them out by where of a mapping"
-                yield CheckResult("warning", name, f"{rows}, {100 * rest:.0f} % of the others: {ask}")
 
 
 def _relation(quality: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"], unit: str) -> str:

@@ -12,7 +12,7 @@ import polars as pl
 from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
 from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
-from trackwright.trackers.recordings.checks.anomalies import not_wrapped
+from trackwright.trackers.recordings.checks.sampling import not_wrapped
 from trackwright.trackers.recordings.columns import TableRows
 from trackwright.trackers.recordings.kinds import KINDS, QUATERNION, Kind, table_kinds
 

@@ -13,7 +13,7 @@ from trackwright.trackers.core.data.seconds import moment, place_in_time, second
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.from_arrays import fix_recording, range_recording
 from trackwright.trackers.recordings.checks.all_checks import check
-from trackwright.trackers.recordings.checks.anomalies import anomalies
+from trackwright.trackers.recordings.checks.sampling import anomalies
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import first_time
 

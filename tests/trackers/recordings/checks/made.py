@@ -1,16 +1,24 @@
-"""Mistakes made on a recording in memory."""
+"""Recordings in memory without a mistake, and the mistakes that are made on them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.model.rig import Station
-from trackwright.trackers.recordings.folder import RecordingFolder
+from tests.faulty import write_good
+from trackwright.sim import worlds
+from trackwright.sim.corruptions import white_noise
+from trackwright.sim.differences import CORNERS, simulate_differences
+from trackwright.sim.ranging import chamber
+from trackwright.trackers.core.model.rig import Rig, Station, Tag
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 
 Make = Callable[[RecordingFolder], RecordingFolder]
 
@@ -60,3 +68,89 @@ def about_z(q: np.ndarray, degrees: float) -> np.ndarray:
     c, s = np.cos(np.radians(degrees) / 2), np.sin(np.radians(degrees) / 2)
     w, x, y, z = q
     return np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
+
+
+@cache
+def good() -> RecordingFolder:
+    """Five seconds of two tags with a table of each kind, as tests of readers write them."""
+    with TemporaryDirectory() as folder:
+        write_good(Path(folder) / "good")
+        return read_recording(Path(folder) / "good")
+
+
+ANCHORS = {
+    "A1": (0.0, 0.0, 2.7), "A2": (6.0, 0.0, 2.4), "A3": (12.0, 0.0, 2.7),
+    "A4": (12.0, 8.0, 2.7), "A5": (6.0, 8.0, 2.4), "A6": (0.0, 8.0, 2.7),
+}  # fmt: skip
+AXES = ("x_m", "y_m", "z_m")
+
+
+def _facing(x: float, y: float) -> Station:
+    """A level station 2.5 m high that looks at the middle of the hall."""
+    boresight = np.array([6.0 - x, 4.0 - y, 0.0]) / np.hypot(6.0 - x, 4.0 - y)
+    up = np.array([0.0, 0.0, 1.0])
+    R = np.stack([np.cross(up, boresight), up, boresight], axis=1)
+    w = np.sqrt(1 + np.trace(R)) / 2
+    q = np.array([w, *(np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4 * w))])
+    return Station(np.array([x, y, 2.5]), q)
+
+
+@cache
+def hall() -> RecordingFolder:
+    """A walk of 60 s at 1.1 m with ranges of six anchors and bearings of three stations, at 5 Hz, and its truth."""
+    rng, t = np.random.default_rng(4), 0.2 * np.arange(300)
+    true = np.stack([6 + 4 * np.sin(0.31 * t), 4 + 2.5 * np.cos(0.47 * t), np.full_like(t, 1.1)], axis=1)
+    stations = {"S1": _facing(0.0, 1.0), "S2": _facing(12.0, 2.0), "S3": _facing(5.0, 8.0)}
+    ranges, bearings = [], []
+    for anchor, place in ANCHORS.items():
+        r = np.linalg.norm(true - place, axis=1) + rng.normal(0.05, 0.08, len(t))
+        ranges.append(pl.DataFrame({"t_s": t, "tag": "T", "anchor": anchor, "range_m": r}))
+    for name, station in stations.items():
+        angles = np.asarray(station.angles(true)) + rng.normal(0, 0.03, (len(t), 2))
+        head = {"t_s": t, "tag": "T", "station": name}
+        bearings.append(pl.DataFrame(head | {"azimuth_rad": angles[:, 0], "elevation_rad": angles[:, 1]}))
+    tables = {
+        "ranges": pl.concat(ranges).sort("t_s"), "bearings": pl.concat(bearings).sort("t_s"),
+        "truth": pl.DataFrame({"t_s": t, "tag": "T"} | dict(zip(AXES, true.T, strict=True))),
+    }  # fmt: skip
+    anchors = {key: np.array(place) for key, place in ANCHORS.items()}
+    return RecordingFolder("hall", None, Rig("hall", anchors, stations, {"T": Tag(height=1.1)}), tables)
+
+
+@cache
+def tool() -> RecordingFolder:
+    """A tool with an IMU and its true attitude."""
+    return worlds.tool(n=1, seed=0, rows=600).folder()
+
+
+@cache
+def arrays() -> RecordingFolder:
+    """Phases of three arrays with noise of 0.3 rad."""
+    return worlds.station(n=2, seed=2, rows=80, sigma_p=0.3).folder()
+
+
+@cache
+def differences(schedule: str = "messages") -> RecordingFolder:
+    """Differences of ranges to the corners of a room that is no mirror image of itself.
+
+    Else the sign of all differences only turns the path.
+    """
+    places = CORNERS + np.random.default_rng(7).uniform(-0.6, 0.6, CORNERS.shape)
+    noise = {"white": white_noise(0.05)}
+    return simulate_differences(chamber(places), seed=1, n_points=300, schedule=schedule, corruptions=noise).folder("w")
+
+
+def height(metres: float | None) -> Make:
+    """Another height of the tag of the hall."""
+    return lambda folder: replace(folder, rig=replace(folder.rig, tags={"T": Tag(height=metres)}))
+
+
+def together(*makes: Make) -> Make:
+    """One change after another."""
+
+    def make(folder: RecordingFolder) -> RecordingFolder:
+        for one in makes:
+            folder = one(folder)
+        return folder
+
+    return make

@@ -4,48 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import polars as pl
 import pytest
 
-from tests.trackers.recordings.checks.made import only, with_anchors, with_columns
-from trackwright.sim.corruptions import white_noise
-from trackwright.sim.differences import CORNERS, simulate_differences
-from trackwright.sim.ranging import chamber
+from tests.trackers.recordings.checks.made import differences, only, with_anchors, with_columns
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.checks.all_checks import check
-from trackwright.trackers.recordings.checks.anomalies import anomalies
 from trackwright.trackers.recordings.checks.compared import compared
 from trackwright.trackers.recordings.checks.residuals import residuals
+from trackwright.trackers.recordings.checks.sampling import anomalies
 from trackwright.trackers.recordings.folder import read_recording
 
-# Corners of a room that is no mirror image of itself: else the sign of all differences only turns the path.
-ANCHORS = CORNERS + np.random.default_rng(7).uniform(-0.6, 0.6, CORNERS.shape)
-
-
-def _simulated(schedule):
-    noise = {"white": white_noise(0.05)}
-    return simulate_differences(chamber(ANCHORS), seed=1, n_points=300, schedule=schedule, corruptions=noise).folder(
-        "w"
-    )
-
-
-FOLDER = _simulated("messages")
+FOLDER = differences()
 VALUE = pl.col("range_difference_m")
-
-
-def _table(*changes):
-    return with_columns("tdoa", *changes)(FOLDER)
-
-
-def _swapped(first, second):
-    """Two anchors' ids exchanged in the table."""
-    ids = {first: second, second: first}
-    return _table(*(pl.col(column).cast(pl.String).replace(ids).alias(column) for column in ("anchor", "anchor_2")))
-
-
-def _rig(change):
-    return with_anchors(change)(FOLDER)
 
 
 def _late(**by):
@@ -60,53 +31,11 @@ def _errors(folder):
     return [result.message for result in check(folder) if result.level == "error"]
 
 
-def test_a_good_recording_has_no_errors():
-    assert _errors(FOLDER) == []
-    assert _errors(only("tdoa")(FOLDER)) == []
-
-
-EVERYWHERE = {
-    "the sign of the tdoa flipped": _table(-VALUE),
-    "anchors A2 and A7 swapped": _swapped("A2", "A7"),
-    "anchors A3 and A4 swapped": _rig(lambda anchors: {"A3": anchors["A4"], "A4": anchors["A3"]}),
-    "nanoseconds or feet": _table(VALUE / 0.299792458),
-    "centimetres or millimetres, or other anchors": _table(VALUE * 100),
-    "looks like seconds": _table(VALUE / 299792458),
-}
-AGAINST_TRUTH = {
-    "halved distances": _table(VALUE / 2),
-    "of anchor A5 (+1.5": _table(VALUE + _late(A5=1.5)),
-    "the positions of the anchors multiplied by 0.001": _rig(lambda a: {k: 1000 * v for k, v in a.items()}),
-    "the sign of z of the truth flipped": _rig(lambda a: {k: v * [1, 1, -1] for k, v in a.items()}),
-    "x and y of the truth swapped": _rig(lambda a: {k: v[[1, 0, 2]] for k, v in a.items()}),
-    "the truth shifted by (2.00": with_columns("truth", pl.col("x_m") - 2)(FOLDER),
-}
-
-
-@pytest.mark.parametrize("words", [*EVERYWHERE, *AGAINST_TRUTH])
-def test_a_mistake_is_named_against_truth(words):
-    errors = _errors((EVERYWHERE | AGAINST_TRUTH)[words])
-    assert any(words in message for message in errors), errors
-
-
-@pytest.mark.parametrize("words", EVERYWHERE)
-def test_a_mistake_is_named_without_truth(words):
-    folder = EVERYWHERE[words]
-    errors = _errors(only("tdoa")(folder))
-    assert any(words in message for message in errors), errors
-
-
-def test_an_anchor_at_a_wrong_place_is_named_without_truth():
-    moved = _rig(lambda anchors: {"A6": anchors["A6"] + [1.5, 0.0, 0.0]})
-    (warning,) = [result.message for result in check(only("tdoa")(moved)) if "contradict each other" in result.message]
-    assert "without anchor A6: its place in rig.toml is wrong" in warning
-
-
 @pytest.mark.parametrize("schedule", ["messages", "turns"])
 def test_biases_are_those_of_anchors_whichever_is_the_first(schedule):
     """All from A1, or those of neighbours alone; the median of the biases is zero, as none of theirs is seen."""
     late = {"A1": 0.3, "A3": -0.4, "A4": 0.1, "A7": 0.2, "A8": -0.1}
-    folder = _simulated(schedule)
+    folder = differences(schedule)
     table = folder.tables["tdoa"].with_columns(VALUE + _late(**late))
     view = compared(replace(folder, tables=folder.tables | {"tdoa": table}), "tdoa")
     found = {one.group: one.bias for one in residuals(view)}
@@ -161,8 +90,3 @@ def test_too_few_anchors_for_differences_are_named(height, least):
     rig = replace(FOLDER.rig, tags={tag: Tag(height=height) for tag in few["tag"].unique()})
     messages = [result.message for result in check(replace(FOLDER, rig=rig, tables={"tdoa": few}))]
     assert f"anchors observed: {least - 1}, expected {least} or more for a position" in messages
-
-
-def test_repeated_differences_are_those_of_a_pair_of_anchors():
-    messages = [result.message for result in check(_table(VALUE.round(0)))]
-    assert any("equal the previous row of the same tag and pair of anchors" in message for message in messages)

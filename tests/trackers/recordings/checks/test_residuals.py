@@ -12,7 +12,7 @@ from scipy.stats import spearmanr
 
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.checks.all_checks import check
-from trackwright.trackers.recordings.checks.compared import compared, median_of, robust_fit
+from trackwright.trackers.recordings.checks.compared import compared, robust_fit
 from trackwright.trackers.recordings.checks.residuals import residuals
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -83,16 +83,6 @@ def test_each_column_of_quality_has_a_line_that_says_how_errors_go_with_it():
     ]
 
 
-def test_a_column_that_marks_readings_which_repeat_is_named():
-    walk, rng = _walk(), np.random.default_rng(3)
-    ranges = walk.tables["ranges"].with_columns(valid=pl.Series(rng.random(2400) > 0.1).cast(pl.Float64))
-    old = pl.when(pl.col("valid") == 0).then(pl.col("range_m").shift().over("anchor")).otherwise("range_m")
-    failed, honest = ranges.with_columns(range_m=old.fill_null(pl.col("range_m"))), ranges
-    (line,) = (r.message for r in check(replace(walk, tables={"ranges": failed})) if "valid = 0" in r.message)
-    assert "repeat the row before" in line
-    assert not [r for r in check(replace(walk, tables={"ranges": honest})) if "valid" in r.message]
-
-
 def test_the_check_prints_a_line_for_each_anchor_and_calls_none_of_it_a_mistake():
     results = check(_walk())
     lines = [result.message for result in results if result.message.startswith("anchor") and "bias" in result.message]
@@ -110,10 +100,3 @@ def test_a_robust_fit_ignores_a_fifth_of_wild_errors():
     found, size = robust_fit(lambda p: (p[0] * x + p[1] - y)[:, None], np.zeros(2))
     assert found == pytest.approx(true, abs=0.03)
     assert size < 0.06
-
-
-def test_the_median_is_that_of_numpy_to_the_bit():
-    rng = np.random.default_rng(0)
-    for count in (1, 2, 3, 4, 100, 501):
-        x = rng.normal(size=count).round(1)
-        assert median_of(x) == np.median(x)
