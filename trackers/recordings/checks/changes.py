@@ -265,12 +265,14 @@ def _by_each(view: Compared) -> Iterator[Each]:
             _less_offsets, view.medians(view.errors()), None,
             lambda x: np.abs(x[:, 0]) >= LEAST_OFFSET_M, lambda x: f"{x[0]:+.2f} m", systematic=True,
         )  # fmt: skip
-    if kind.angles:
-        yield Each(
-            "the azimuth turned", f"{other}, or another zero of the azimuth; correct rotation_wxyz",
-            lambda view, x: {"values": view.values - x[view.group] * [1.0, 0.0]}, zero, turn, turned, degrees,
-            systematic=True,
-        )  # fmt: skip
+    # An azimuth of a compass counts from north, clockwise.
+    for sign, name in ((1.0, "turned"), (-1.0, "turned and its sign flipped")) if kind.angles else ():
+
+        def azimuths(view: Compared, x: np.ndarray, sign: float = sign) -> dict[str, np.ndarray]:
+            return {"values": view.values * [sign, 1.0] - x[view.group] * [1.0, 0.0]}
+
+        cause = f"{other}, or another zero of the azimuth; correct rotation_wxyz"
+        yield Each(f"the azimuth {name}", cause, azimuths, zero, turn, turned, degrees, sign > 0)
     if kind.numbered:
         yield Each(
             "another wavelength", "a wrong wavelength_m, or antennas_m in another scale; correct rig.toml",

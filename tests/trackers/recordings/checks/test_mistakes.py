@@ -196,6 +196,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
             together(only("ranges", "truth"), with_columns("truth", x_m=-0.6 * X - 0.8 * Y + 10.0, y_m=0.8 * X - 0.6 * Y, z_m=Z + 1.5)),
         ),
         "a height above all ranges": Case("error", "height_m of tag T is 17, but 100 % of its ranges are shorter", together(height(17.0), only("ranges"))),
+        "azimuths of a compass": Case("error", "with the azimuth turned and its sign flipped", with_columns("bearings", (-AZ + 1.5 * np.pi) % (2 * np.pi) - np.pi)),
         "stations turned by ten degrees": Case("warning", "bearings: azimuths of all stations are off by about +10.", with_columns("bearings", AZ + np.radians(10.0))),
         "angles swapped": Case(
             "error", "azimuth and elevation are swapped; rename both", together(only("bearings", "truth"), with_columns("bearings", azimuth_rad=EL, elevation_rad=AZ)),
