@@ -75,7 +75,7 @@ def main() -> None:
         for name, (_, figure) in MADE.items():
             _small(folder / figure, name)
         generalisation(folder / "generalisation.png")
-        _small(folder / "generalisation.png", "generalisation")
+        _small(folder / "generalisation.png", "../generalisation")
 
 
 def generalisation(picture: Path) -> None:

@@ -54,7 +54,7 @@ from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.state import State, component_names, coordinates, local_after, retract
 
-SPREAD = 2.1
+SPREAD = 3.0
 """Standard deviations of the position within which a reading's bend adds to the noise."""
 
 ANY = (1.0, 0.6, 0.35)
@@ -152,8 +152,8 @@ def flattening(
     """By what whitened channels are multiplied, so that the noise covers what bends within the spread of the position.
 
     The bend is what a residual differs from its tangent `SPREAD` standard deviations off in independent directions: one
-    that each of the first channels sees, and the one that is left, which turn with the world. Twice its mean square
-    adds to the variance where it counts; other updates stay as they are.
+    that each of the first channels sees, and the one that is left, which turn with the world. A quarter of its mean
+    square adds to the variance where it counts; other updates stay as they are.
     """
     first = component_names(belief.mean).index("position.0")
     place = range(first, first + len(belief.mean.position))
@@ -170,7 +170,7 @@ def flattening(
         linear = [total(v * step[i] for i, v in row.items()) for step in steps]
         bend = total((r[k] - value + t) ** 2 for r, t in zip(away, linear, strict=True)) / len(steps)
         counts = bend > BENT / (2.0 * SPREAD**2) * total(t * t for t in linear)
-        factors.append(jax.lax.stop_gradient(jnp.where(counts, 1.0 / jnp.sqrt(1.0 + 2.0 * bend), 1.0)))
+        factors.append(jax.lax.stop_gradient(jnp.where(counts, 1.0 / jnp.sqrt(1.0 + 0.25 * bend), 1.0)))
     return factors
 
 
