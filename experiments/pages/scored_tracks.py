@@ -112,7 +112,7 @@ class ScoredRecording:
 
     @property
     def zero(self) -> float:
-        """The time, s, from which times are shown: zero, or that of the first reading where they count from 1970."""
+        """The time, s, from which times are shown: zero, or the first reading's where they count from 1970."""
         tables = {name: table for name, table in self.folder.tables.items() if name in KINDS}
         return zero_of(first_time(tables) if tables else float(np.min(self.times, initial=np.inf)))
 

@@ -21,7 +21,7 @@ UNLIMITED = 100_000
 
 
 def terminal_width(elsewhere: int = 120) -> int:
-    """Characters that a line of a table may have: those of the terminal, or `elsewhere` where the output goes there."""
+    """Characters that a line of a table may have: the terminal's, or `elsewhere` where the output goes there."""
     return shutil.get_terminal_size((elsewhere, 24)).columns if sys.stdout.isatty() else elsewhere
 
 

@@ -79,7 +79,7 @@ def _unit_by_name(metric: str) -> str:
 
 
 def units_of(values: Mapping[str, Sequence[float]]) -> dict[str, Unit]:
-    """The units of metrics shown side by side: all lengths in that of the first."""
+    """The units of metrics shown side by side: all lengths in the first one's."""
     units = {metric: unit_of(metric, numbers) for metric, numbers in values.items()}
     lengths = [metric for metric in units if metric.endswith("_m")]
     return units | dict.fromkeys(lengths, units[lengths[0]] if lengths else NO_UNIT)

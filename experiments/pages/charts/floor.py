@@ -21,7 +21,7 @@ TRUTH = "#9aa5b0"
 """The colour of true paths, drawn below the tracks and wider: neither hides the other."""
 
 LARGE = 3.0
-"""An ellipse with a major axis so many times the median, as that of a start, is not drawn."""
+"""An ellipse with a major axis so many times the median, as of a start, is not drawn."""
 
 
 class PlanPath(NamedTuple):

@@ -289,7 +289,7 @@ def _inflation(values: np.ndarray, window: int) -> float:
 
     1 + 2 Σ (1 − k/w) ρₖ, w = `window` (Bartlett 1946).
     """
-    # A few rows that lie far out, as those of a start, do not decide.
+    # A few rows that lie far out, as of a start, do not decide.
     centred = np.minimum(values, np.quantile(values, 0.99))
     centred = centred - centred.mean()
     total = sum((1 - k / window) * float(centred[k:] @ centred[:-k]) for k in range(1, min(window, len(centred))))

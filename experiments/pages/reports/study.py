@@ -109,7 +109,7 @@ def metrics_section(results: Results) -> Section:
 
 
 def ratios_section(results: Results) -> Section:
-    """All metrics relative to those of the first tracker; no rows without another one."""
+    """All metrics relative to the first tracker's; no rows without another one."""
     study = results.study
     first, *others = study.trackers
     head, rows = ["world", "tracker"], [[c.label, t] for c in study.conditions for t in others]

@@ -49,7 +49,7 @@ MOST_LISTED = 40
 
 
 def write_track_page(path: Path, runs: Sequence[Mapping[str, Any]], command: str, kind: str = "track") -> None:
-    """Writes the page, whole or not at all. `runs`: those of `run_data`, one for each tracker; `kind`: who wrote it."""
+    """Writes the page, whole or not at all. `runs`: from `run_data`, one for each tracker; `kind`: who wrote it."""
     write_page(path, track_page(runs, command, kind))
 
 
@@ -153,7 +153,7 @@ def recording_data(
 ) -> dict[str, Any]:
     """The recording as the page's scripts read it; lengths in m relative to `origin`, times in s after `start`.
 
-    `events`: those of this recording. The rest: limits on the rows, tracks and residuals that are drawn.
+    `events`: of this recording. The rest: limits on the rows, tracks and residuals that are drawn.
     """
     # matplotlib takes a third of a second to import, which a run without a page need not wait for.
     from trackwright.experiments.pages.charts.figures import page_charts

@@ -129,7 +129,7 @@ def changes(view: Compared) -> Iterator[Change]:
         if typical is not None:
             sizes = view.sizes(view.values, bias=False)
             groups = (np.nanmedian(sizes, axis=1) > typical[0]) & (np.nanmedian(sizes, axis=1) < typical[1])
-        # The unit of a difference is that of a message.
+        # The unit of a difference is a message.
         by_group = bool(kind.sensors) and not kind.difference
         yield Change(words, cause, {"values": of(view.values)}, by_group=by_group, groups=groups)
     for words, cause, other in _other_places(sensors.places) if kind.sensors else ():
@@ -303,7 +303,7 @@ def fitted_changes(view: Compared, large: Bool[np.ndarray, " G"]) -> Iterator[Ch
             if len(part.group) and (not one.place or _extent(part) >= LEAST_EXTENT_M):
                 numbers[k] = _of_one(part, one, k)
                 fitted.append(k)
-        # Of differences one place at a time: that of one anchor is wrong in the readings of others, too.
+        # Of differences one place at a time: a wrong one shows in the readings of others, too.
         for chosen in [[k] for k in fitted] if one.place and view.kind.difference else [fitted] if fitted else []:
             x = np.array(one.given, float)
             x[chosen] = numbers[chosen]

@@ -56,7 +56,7 @@ On real recordings as they are, the place that fits best is up to 0.5 m away, or
 ELSEWHERE = "its place in rig.toml is wrong, or its readings are; measure it again"
 
 SPANS_S, LEAST_MOMENTS, MOST_MOMENTS, MOST_SENSORS = (0.1, 0.25, 0.5, 1.0), 15, 60, 12
-"""Times within which readings are taken for those of one moment, s; the first in which enough of them come."""
+"""Times within which readings are taken for one moment's, s; the first in which enough of them come."""
 
 LEAST_EXTENT_M, STEPS, FIT_STEPS = 1.0, 12, 12
 """Extent of the anchors or stations, m, below which any ranges of a moment contradict or fit each other alike; steps to

@@ -27,11 +27,11 @@ CUT = 3.0
 
 
 class Compared(NamedTuple):
-    """Readings of a table and what predicts them, those of a group (anchor or station; of fixes, tag) together.
+    """Readings of a table and what predicts them, a group (anchor or station; of fixes, tag) together.
 
     `ids`: of the G groups. `group` (N,), not decreasing, `tag` (N,): numbers in `ids` and in `tags`. A difference is
-    in the groups of both its anchors, in that of the second one with the other sign. `times` (N,) s.
-    `values` (N, m): NaN where one is missing. `positions` (N, 3) m: the true ones. `sensors`: those of each reading,
+    in the groups of both its anchors, in the second one's with the other sign. `times` (N,) s.
+    `values` (N, m): NaN where one is missing. `positions` (N, 3) m: the true ones. `sensors`: of each reading,
     the first of which is the group. `rotations` (G, 4): quaternions of stations. `paths`: the true paths.
     """
 
@@ -97,7 +97,7 @@ class Compared(NamedTuple):
     def later(self, delay: float | Float[np.ndarray, " N"], of: Int[np.ndarray, " T"] | None = None) -> Compared:
         """The same readings with the true positions of `delay` seconds before, NaN where there are none.
 
-        `of`: the number of the tag whose path stands for that of each tag.
+        `of`: the number of the tag whose path stands for each tag's.
         """
         path = self.tag if of is None else of[self.tag]
         changes = np.flatnonzero(np.diff(path)) + 1

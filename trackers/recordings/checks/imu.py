@@ -102,7 +102,7 @@ def _by_gravity(rows: ImuRows) -> Iterator[CheckResult]:
 
 
 def _mounting(rows: ImuRows) -> Iterator[CheckResult]:
-    """A warning where the mean specific force does not point along z, as that of a level IMU does."""
+    """A warning where the mean specific force does not point along z, as a level IMU's does."""
     mean = rows.pushed[-1] / (rows.times[-1] - rows.times[0])
     size = np.linalg.norm(mean)
     if size >= 1.0 and mean[2] <= TILTED * size:

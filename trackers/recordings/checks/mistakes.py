@@ -25,7 +25,7 @@ EXPLAINED, NEARLY = 2.0, 0.75
 """Errors left, in those that need no explanation, and the share of rows that a change has to bring below three."""
 
 BROKEN = 10.0
-"""Ratio of the errors of one anchor to those of the others from which it is broken."""
+"""Ratio of the errors of one anchor to the others' from which it is broken."""
 
 FEW_PLACES = 0.25
 """Share of anchors or stations whose places may be wrong."""

@@ -39,7 +39,7 @@ UNITS = (
 
 
 def check_odometry(recording: RecordingFolder) -> Iterator[CheckResult]:
-    """An error for speeds or yaw rates of another unit or sign than the truth's; another clock, as that of an IMU."""
+    """An error for speeds or yaw rates of another unit or sign than the truth's; another clock, as an IMU's."""
     rows, known = recording.rows("odometry"), recording.paths.number
     values = rows.floats(COLUMNS)
     for tag, first, end in zip(rows.tags, rows.starts[:-1], rows.starts[1:], strict=True):

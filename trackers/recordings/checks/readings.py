@@ -41,7 +41,7 @@ BOUND = 4.0
 
 
 class Readings(NamedTuple):
-    """The rows of a table, those of a stream (one tag and one anchor or station) one after another, by time.
+    """The rows of a table, of a stream (one tag and one anchor or station) one after another, by time.
 
     `stream` (N,): its number. `times` (N,) s. `values` (N, m): of the `columns`, NaN where one is missing. `errors`
     (N, m): their differences from the true values, NaN where these are unknown.

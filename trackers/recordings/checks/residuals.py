@@ -50,7 +50,7 @@ def residuals(view: Compared) -> list[Residuals]:
     errors, result = view.errors(), []
     if view.kind.difference:
         errors = errors + view.medians(errors)[view.sensors.number[:, 1]]  # of the one anchor alone
-    # The slope is that of the errors after the delay: over the delay a reading does not change linearly.
+    # The slope is of the errors after the delay: over the delay a reading does not change linearly.
     delays = np.zeros(errors.shape)
     for _ in range(2):
         fits = {key: _slope_and_delay(view, key, delays) for key in np.ndindex(len(view.ids), len(view.columns))}
@@ -216,7 +216,7 @@ def _relation(quality: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"],
     # Ties have the mean of their ranks.
     of_quality, *of_errors = (pl.Series(x).rank().to_numpy() for x in (quality, np.abs(errors), errors))
     sized, signed = (float(np.corrcoef(of_quality, ranks)[0, 1]) for ranks in of_errors)
-    # A root mean square would be that of a few wild values.
+    # A root mean square would show a few wild values.
     low, high = np.quantile(quality, [0.25, 0.75])
     lowest, highest = (np.quantile(np.abs(errors[part]), 0.6827) for part in (quality <= low, quality >= high))
     return (

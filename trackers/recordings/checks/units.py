@@ -54,7 +54,7 @@ RULES = {
 
 
 def check_units(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
-    """Values of a size that suggests another unit than that of the column."""
+    """Values of a size that suggests another unit than the column's."""
     yield from _elsewhere(rig)
     yield from _anchor_lengths(rig, tables)
     kinds, places = table_kinds(), [place[:2] for place in rig.places()] + list(_knots(rig))
@@ -119,7 +119,7 @@ def _lengths(what: str, lengths: pl.Series, size: float | None) -> Iterator[Foun
     typical, across = _median(lengths), math.nan if size is None else size
     if typical > max(FAR_M, 20 * across if size else 0.0):
         unit = "centimetres" if typical <= 150 * across else "millimetres"
-        # Places in millimetres are as far from one another as from the rig; those of another frame are not.
+        # Places in millimetres are as far from one another as from the rig; places in another frame are not.
         if "from" in what and size is not None and float(lengths.std() or 0.0) < 0.05 * typical:  # type: ignore[arg-type]
             unit = f"another frame than the rig's, or {unit}"
         yield "error", f"a typical {what} is {significant(typical, 4)} m: looks like {unit}, expected metres"
