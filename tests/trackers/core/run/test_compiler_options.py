@@ -93,10 +93,12 @@ def test_a_row_of_a_long_recording_takes_as_long_as_one_of_a_short_recording(wha
     calls, took = {rows: _call(what, rows) for rows in (400, 1600)}, {400: np.inf, 1600: np.inf}
     for call in calls.values():
         call()
-    for _ in range(15):
+    # The time of a thread of XLA may be counted after its call has returned: of ten calls it is counted but for one's.
+    for _ in range(3):
         for rows, call in calls.items():
             start = time.process_time()
-            call()
+            for _ in range(10):
+                call()
             took[rows] = min(took[rows], time.process_time() - start)
     assert took[1600] / 1600 < 1.5 * took[400] / 400
 
