@@ -16,7 +16,7 @@ LINES = {
     "tuning": 6_045,
     "experiments": 16_045,
     "trackwright": 30,
-    "tests": 34_715,
+    "tests": 34_720,
 }
 """The most lines of Python of each folder at the top."""
 

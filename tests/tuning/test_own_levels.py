@@ -58,6 +58,7 @@ def test_a_recording_tells_the_levels_of_white_noise_and_motion(sigma_a, sigma):
     assert "sensors.fixes.sigma_horizontal 0.1 → " in own.line
 
 
+@pytest.mark.slow
 def test_levels_stay_where_errors_last():
     walk, random = _walk(0.3, _white(0.0)), np.random.default_rng(3)
     anchors = {name: np.array([x, y, 2.5]) for name, x, y in (("A", 0, 0), ("B", 6, 0), ("C", 6, 5), ("D", 0, 5))}

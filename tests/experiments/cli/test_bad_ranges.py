@@ -92,6 +92,7 @@ def test_errors_of_the_check_stop_the_command_before_anything_is_written(tmp_pat
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_errors_of_the_check_stop_whatever_is_fitted_to_a_recording(tmp_path):
     metres = pl.col("range_m")
     for name, changed in (("feet", metres / 0.3048), ("millimetres", 1000.0 * metres), ("late", metres + 3.0)):

@@ -150,6 +150,7 @@ def test_a_tuned_number_without_a_unit_has_none_in_the_table():
     assert (units["sensors.fixes.dof"], units["sensors.fixes.sigma_horizontal"]) == ([], ["m"])
 
 
+@pytest.mark.slow
 def test_the_values_without_a_block_of_time_are_those_of_a_fit_to_the_rest_and_compile_nothing(tmp_path):
     folder = read_recording(_walk(tmp_path / "one", 6, 0.3, rows=400))
     named = tw.build("fix-kf", folder)

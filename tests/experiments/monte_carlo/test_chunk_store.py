@@ -63,6 +63,7 @@ def test_a_damaged_chunk_is_named(finished):
         run_study(SMALL, folder)
 
 
+@pytest.mark.slow
 def test_two_callers_on_one_folder_end_with_the_same_bits(whole, tmp_path):
     with ThreadPoolExecutor(2) as callers:
         found = [*callers.map(lambda _: run_study(SMALL, tmp_path), range(2))]

@@ -142,6 +142,7 @@ def test_of_many_tags_the_worst_the_median_and_the_best_are_shown():
     assert [(t.track, t.why) for t in few.shown] == [(0, ""), (1, ""), (2, "")]
 
 
+@pytest.mark.slow
 def test_of_many_recordings_those_that_moved_most_are_shown_in_their_order_and_held_out_ones_first():
     folders = [walk(f"r{k}", k, sigmas=SIGMAS[: 1 + (k == 2)]) for k in range(MOST_PLANS + 2)]
     trackers, found = _run(folders, {"r5"})
