@@ -15,7 +15,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.exchange.trajectories import Similarity
 from trackwright.trackers.recordings.checks.changes import about_vertical, transform_text
-from trackwright.trackers.recordings.checks.compared import CUT, Compared, compared, robust_fit
+from trackwright.trackers.recordings.checks.compared import Compared, cauchy_weights, compared, robust_fit
 from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced, true_attitude
 from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -183,7 +183,7 @@ def _standard_errors(view: Compared, errors: Callable[[np.ndarray], np.ndarray],
     size = np.nan_to_num(1.4826 * known_median(np.abs(e)), nan=1.0) + 1e-9
     slopes = np.stack([(errors(x + 1e-6 * unit) - e) / 1e-6 for unit in np.eye(n)], axis=-1)
     known = np.isfinite(e) & np.isfinite(slopes).all(axis=-1)
-    weights = np.where(known, 1.0 / (1.0 + (np.nan_to_num(e) / (CUT / 3 * size)) ** 2), 0.0)
+    weights = np.where(known, cauchy_weights(np.nan_to_num(e), size), 0.0)
     slopes = np.where(known[..., None], slopes, 0.0)
     pulls = np.stack([(weights[..., None] * slopes)[view.group == k].sum(axis=0) for k in range(groups)])
     scatter = np.einsum("gci,gcj,c->ij", pulls, pulls, bias**2)
