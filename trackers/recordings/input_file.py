@@ -175,7 +175,9 @@ def read_model(path: Path, model: type[T], expected: str, fix: str = "", version
     expects = re.sub(r"\w+ should have (.*) after validation.*", r"expected \1", expects)
     expects = re.sub(r"an instance of Float\[ndarray, '(.*)'\]", r"numbers of shape \1", expects)
     value = value.tolist() if isinstance(value, np.ndarray) else value
-    raise UnusableInput(f"{path}: {place} {'is no key of it' if unknown else f'= {reprlib.repr(value)}, {expects}'}{ending}")
+    raise UnusableInput(
+        f"{path}: {place} {'is no key of it' if unknown else f'= {reprlib.repr(value)}, {expects}'}{ending}"
+    )
 
 
 def _given_twice(text: str, reason: str) -> str:
