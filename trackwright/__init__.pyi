@@ -19,6 +19,7 @@ from trackwright.trackers.baselines.fixes import singer_tracker as singer_tracke
 from trackwright.trackers.baselines.switching import mirror_tracker as mirror_tracker
 from trackwright.trackers.baselines.switching import switching_tracker as switching_tracker
 from trackwright.trackers.baselines.windows import MovingWindow as MovingWindow
+from trackwright.trackers.c_source import c_source as c_source
 from trackwright.trackers.catalogue import TRACKERS as TRACKERS
 from trackwright.trackers.catalogue import build as build
 from trackwright.trackers.catalogue import tracker_for as tracker_for
@@ -202,6 +203,7 @@ __all__ = [
     "direct_tracker",
     "DelayAndSum",
     "Smoothed",
+    "c_source",
     # parts of a tracker: filters, starts, track loss
     "AbstractTracker",
     "Tracker",
