@@ -19,15 +19,15 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.user_file import fault_of, from_file, split_name
-from trackwright.trackers.exchange.expressions import UNITS, Expression, columns_of, parsed
+from trackwright.trackers.exchange.expressions import UNITS, columns_of, parsed
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
 from trackwright.trackers.exchange.mapping import ORIGIN, Asked, MappingFile, Source, TableMapping
-from trackwright.trackers.exchange.source_rows import Reading, read_rows
+from trackwright.trackers.exchange.text_tables import Reading, read_rows
 from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
-from trackwright.trackers.recordings.kinds import KINDS, first_time
+from trackwright.trackers.recordings.kinds import first_time
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
-from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile
+from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, first_row
 from trackwright.trackers.recordings.tables import unwrapped_times
 
 
@@ -36,15 +36,9 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
     if not has_tables(name) and not asked.mappings and name != "ros":
         raise UnusableInput(f"{path}: no table given; expected --table, or a file of mappings: --mapping FILE.toml")
     if name in FORMATS:
-        source: Source = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}").read_source(
-            path, name, asked
-        )
-        return source
-    return _by_file(path, name, *asked.mappings)
-
-
-def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
-    """The tables that a user's function gives of a source: pandas or polars frames by table, with their columns."""
+        module = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}")
+        return module.read_source(path, name, asked)  # type: ignore[no-any-return]
+    (mapping,) = asked.mappings
     if mapping.columns:
         wrong = f"{listed(mapping.columns)}: a file of this format has its columns; leave --columns out"
         raise UnusableInput(f"{path}: {wrong}")
@@ -58,19 +52,18 @@ def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
         raise UnusableInput(f"{path}: {name} fails ({fault}); correct either") from error
     if not isinstance(frames, Mapping) or not frames:
         raise UnusableInput(f"{name}: gave {type(frames).__name__} of {path}; expected tables by name, one at least")
-    try:
-        return _of_frames(frames, {}, mapping.tag, lambda table: path)
-    except UnusableInput as problem:
-        raise UnusableInput(f"{name}: {str(problem).partition('; add --columns')[0]}") from problem
+    return _of_frames(frames, {}, mapping.tag, f"{name}: ")
 
 
-def _of_frames(
-    frames: Mapping[str, Any], columns: Mapping[str, Sequence[str]], tag: str | None, name: Callable[[str], Path]
-) -> Source:
+def _of_frames(frames: Mapping[str, Any], columns: Mapping[str, Sequence[str]], tag: str | None, where: str) -> Source:
     source = Source()
     for table, frame in frames.items():
-        mapping = TableMapping(table=table, columns=columns_of(columns.get(table, ())), tag=tag)
-        source.read(TableFile(name(table), _polars(frame, table)), mapping)
+        try:
+            mapping = TableMapping(table=table, columns=columns_of(columns.get(table, ())), tag=tag)
+            file = TableFile(Path(f"{where}{table}"), _polars(frame, table))
+        except UnusableInput as problem:
+            raise UnusableInput(f"{where}{problem}") from None
+        source.read(file, mapping)
     return source
 
 
@@ -94,23 +87,16 @@ def import_frames(
     fits = columns is None or isinstance(columns, Mapping)
     require(fits, "import_frames: columns", columns, "expressions by table, as {'ranges': ['range_m=distance in mm']}")
     try:
-        source = _of_frames(frames, columns or {}, tag, lambda table: Path(f"frame {table}"))
+        source = _of_frames(frames, columns or {}, tag, "frame ")
     except UnusableInput as problem:
-        raise UnusableInput(_in_python(str(problem))) from None
-    tables = source.tables
-    if origin is not None:
-        tables = since(tables, origin_of(str(origin), tables))
+        # In words of Python.
+        text = re.sub(r"; a file without a header: \S+ none|--(?=tag|columns)", "", str(problem))
+        raise UnusableInput(text.replace("tag ID", "tag='ID'")) from None
+    tables = source.tables if origin is None else since(source.tables, origin_of(str(origin), source.tables))
     folder = assembled(name, read_rig(Path(rig))[0] if isinstance(rig, (str, Path)) else rig, tables)
     with tempfile.TemporaryDirectory() as scratch:
         read = _written(folder, Path(scratch) / "recording", source)
     return replace(read, path=None, notices=(*source.notices, *read.notices))
-
-
-def _in_python(message: str) -> str:
-    """The message with arguments of `import_frames` in place of the command line's options."""
-    table = message.removeprefix("frame ").partition(":")[0]
-    message = re.sub(r"--columns ('[^']*')", rf"columns={{'{table}': [\1]}}", message)
-    return message.replace("--tag ID", "tag='ID'").replace("--tag ", "tag=").replace("--columns", "columns=")
 
 
 def _polars(frame: Any, table: str) -> pl.DataFrame:
@@ -123,8 +109,7 @@ def _polars(frame: Any, table: str) -> pl.DataFrame:
     columns = {}
     for name, column in frame.items():
         values = column.to_numpy()
-        if values.dtype.kind == "M":
-            values = values.astype("datetime64[ns]")
+        values = values.astype("datetime64[ns]") if values.dtype.kind == "M" else values
         if values.dtype == object:
             values = [None if lost else value for lost, value in zip(column.isna(), values, strict=True)]
         columns[str(name)] = pl.Series(values)
@@ -143,28 +128,22 @@ def assembled(
     Ranges to a rig that is given without anchors are for a survey. `name`: of the recording, by default the rig's.
     `preset`: has the places of tags on their body and the tags of each; the rig gets them for tags in the tables.
     """
-    to_survey = "ranges" if rig is not None and not rig.anchors and not anchors else None
+    if rig is None and not anchors and "ranges" in tables:
+        fix = "give a rig.toml or a table of them by --rig (in Python: rig=), a rig.toml without anchors for a survey"
+        raise UnusableInput(f"ranges: no positions of anchors; {fix}")
     rig, preset = rig or Rig(name or "imported"), preset or MappingFile()
     there = {tag for table in tables.values() for tag in table["tag"].unique()}
-    tags = {tag: Tag(offset=np.array(place)) for tag, place in preset.offsets.items() if tag in there}
-    carried = {body: tuple(t for t in names if t in there) for body, names in preset.carried.items()}
+    carried = {body: tuple(t for t in one.get("tags", ()) if t in there) for body, one in preset.bodies.items()}
     rig = replace(
         rig,
         name=name or rig.name,
         anchors=rig.anchors or {key: np.array(place) for key, place in (anchors or {}).items()},
-        tags=tags | dict(rig.tags),
+        tags={
+            tag: Tag(offset=np.array(place["offset_m"])) for tag, place in preset.tags.items() if place and tag in there
+        }
+        | dict(rig.tags),
         bodies={body: names for body, names in carried.items() if len(names) > 1} | dict(rig.bodies),
     )
-    for table, kind in KINDS.items():
-        known = kind.places(rig)
-        for column in kind.sensors if table in tables and table != to_survey else ():
-            ids = tables[table][column].unique(maintain_order=True).to_list()
-            if unknown := [sensor for sensor in ids if sensor not in known]:
-                raise UnusableInput(
-                    f"{table}: {column} {listed(map(repr, unknown))} without a position; the rig has "
-                    f"{listed(known) or 'none'}; give a rig.toml with [{kind.noun}s] by --rig (in Python: rig=)"
-                    + ("" if known or table != "ranges" else ", or without, for trackwright survey to find them")
-                )
     return RecordingFolder(rig.name, None, rig, dict(tables))
 
 
@@ -201,9 +180,6 @@ def save(folder: RecordingFolder, out: Path, source: Source, replaced: bool = Fa
     return replace(read, path=out, notices=tuple(x for x in read.notices if x not in there.notices))
 
 
-_REFUSED = re.compile(r"imported (\w+)\.parquet(?:: row (\d+), column (\w+))?")
-
-
 def _written(folder: RecordingFolder, path: Path, source: Source) -> RecordingFolder:
     """The recording after it was written to `path` and read back, its tables then in the order of time.
 
@@ -213,14 +189,13 @@ def _written(folder: RecordingFolder, path: Path, source: Source) -> RecordingFo
     write_recording(replace(folder, tables=tables), path)
 
     def original(match: re.Match[str]) -> str:
-        row = match[2] and match[1] in source.tables and source.location(match[1], int(match[2]) - 1, match[3])
-        return row or match[0].replace(".parquet", "")
+        return source.location(match[1], int(match[2]) - 1, match[3]) if match[1] in source.tables else match[0]
 
     try:
         read = _read(path)
     except UnusableInput as problem:
-        text = str(problem).replace(f"{path}/", "imported ").replace(str(path), "imported")
-        raise UnusableInput(_REFUSED.sub(original, text)) from problem
+        cell = rf"{re.escape(str(path))}/(\w+)\.parquet: row (\d+), column (\w+)"
+        raise UnusableInput(re.sub(cell, original, str(problem)).replace(str(path), "imported")) from problem
     for name, table in tables.items():
         if not table["t_s"].is_sorted():
             _by_time(table).write_parquet(path / f"{name}.parquet")
@@ -264,27 +239,23 @@ def _read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, 
     The columns may be `X`, `x_mm`, `x [mm]`, `X (m)`; ids are in the column `anchor` or `id`, or the only other one.
     """
     file, notices = read_rows(path, reading)
-    axes, others = dict[str, Expression](), list[str]()
-    for name in file.frame.columns:
-        match = re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", name.strip().lower())
-        if match and (match[2] or "m") in UNITS["m"] and match[1] not in axes:
-            axes[match[1]] = parsed("x_m", f"`{name}` in {match[2] or 'm'}")
-        else:
-            others.append(name)
-    ids = [n for n in others if n.lower() in ("anchor", "anchor_id", "id", "name")] or others
+    matches = {n: re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", n.strip().lower()) for n in file.frame.columns}
+    axes = {m[1]: f"`{n}` in {m[2] or 'm'}" for n, m in matches.items() if m and (m[2] or "m") in UNITS["m"]}
+    others = [name for name, match in matches.items() if not match]
+    ids = [name for name in others if name.lower() in ("anchor", "anchor_id", "id", "name")] or others
     if {*axes} != {*"xyz"} or not ids or (len(ids) > 1 and ids == others):
-        found = listed(map(repr, file.frame.columns), 12)
-        expected = "anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
+        found, expected = listed(map(repr, matches), 12), "anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
         raise UnusableInput(f"--rig {path}: columns {found}; expected {expected}")
-    columns, anchors = [axes[axis].values(file, axis).to_list() for axis in "xyz"], dict[str, tuple[float, ...]]()
-    names = file.frame[ids[0]].cast(pl.String).str.strip_chars()
-    for row, (anchor, *place) in enumerate(zip(names, *columns, strict=True)):
-        if not anchor or None in place or anchor in anchors:
-            where = f"--rig {file.location(row, ids[0])}"
-            raise UnusableInput(f"{where}: {anchor!r} at {place}; expected each id once, with x, y, z")
-        anchors[anchor] = tuple(place)
-    units = ", ".join(axes[axis].sources[0] for axis in "xyz")
-    return anchors, [f"{path}: {line}" for line in (*notices, f"ids are in column {ids[0]}, positions in {units}")]
+    places = [parsed("x_m", axes[axis], file).numbers(file).alias(axis) for axis in "xyz"]
+    rows = pl.DataFrame([file.frame[ids[0]].cast(pl.String).str.strip_chars().alias("id"), *places])
+    wrong = rows.select(
+        (pl.col("id") == "") | ~pl.col("id").is_first_distinct() | pl.any_horizontal(pl.all().is_null())
+    )
+    if wrong.to_series().any():
+        row = first_row(wrong.to_series())
+        raise UnusableInput(f"--rig {file.location(row, ids[0])}: {rows.row(row)}; expected each id once, with x, y, z")
+    units = f"ids are in column {ids[0]}, positions in {', '.join(axes[axis] for axis in 'xyz')}"
+    return {key: tuple(place) for key, *place in rows.rows()}, [f"{path}: {line}" for line in (*notices, units)]
 
 
 def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:
@@ -295,18 +266,17 @@ def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:
     """
     if text == "start":
         return first_time({name: _by_time(table) for name, table in tables.items()})
-    try:
-        seconds = float(text)
-    except ValueError:
+    for read in (float, lambda date: _utc(datetime.fromisoformat(date))):
         try:
-            date = datetime.fromisoformat(text)
+            if math.isfinite(seconds := read(text)):
+                return seconds
         except ValueError:
-            seconds = math.nan
-        else:
-            seconds = (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
-    if not math.isfinite(seconds):
-        raise UnusableInput(f"--origin {text}: expected start, seconds, or a date such as 2026-05-01T12:00:00.25")
-    return seconds
+            pass
+    raise UnusableInput(f"--origin {text}: expected start, seconds, or a date such as 2026-05-01T12:00:00.25")
+
+
+def _utc(date: datetime) -> float:
+    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
 def since(tables: Mapping[str, pl.DataFrame], origin: float) -> dict[str, pl.DataFrame]:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from trackwright.trackers.core.data.seconds import HOLE_S, span
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, require
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, Similarity
 
@@ -25,27 +25,23 @@ WINDOW_S, GRID_S, LONGEST_S = 0.5, 0.05, 10_000.0
 
 
 def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) -> Similarity:
-    """The map from the poses of an estimate to the truth's, row k to row k.
+    """The map from the poses of an estimate to the truth's, row k to row k: by least squares, Umeyama 1991.
 
-    `se3`: rotation and translation of least squares of the positions; `sim3`: with a scale; `scale`: that scale alone,
-    about the origin; `se2`: rotation about the vertical axis and translation in x and y; `origin`: the first pose on
-    the first true pose. Raises UnusableInput where the positions do not determine the rotation.
+    `se2`: in the plane; `scale`: the scale of `sim3` alone; `origin`: the first pose on the first true pose. Raises
+    UnusableInput where the positions do not determine the rotation.
     """
-    if kind not in get_args(Alignment):
-        raise UnusableInput(f"align = {kind!r}; expected one of {', '.join(get_args(Alignment))}")
-    x, y, rotation, translation, axes = estimate.positions, truth.positions, np.eye(3), np.zeros(3), 3
+    require(kind in get_args(Alignment), "align", kind, f"one of {', '.join(get_args(Alignment))}")
+    x, y, rotation, translation = estimate.positions, truth.positions, np.eye(3), np.zeros(3)
+    axes, n = (2 if kind == "se2" else 3), len(x)
     if kind == "none":
         return Similarity(rotation, translation, flat=True)
-    if kind == "se2":
-        axes = 2
-    elif unknown := [t.name for t in (estimate, truth) if not np.isfinite(t.positions).all()]:
+    if axes == 3 and (unknown := [t.name for t in (estimate, truth) if not np.isfinite(t.positions).all()]):
         raise UnusableInput(f"{unknown[0]}: has no height; expected x, y, z for --align {kind}; use --align se2")
     if kind == "origin":
         if estimate.quaternions is not None and truth.quaternions is not None:
             rotation = rotation_matrices(truth.quaternions[0]) @ rotation_matrices(estimate.quaternions[0]).T
         return Similarity(rotation, y[0] - rotation @ x[0])
-    # Umeyama 1991, equations (34) to (43).
-    n, x, y = len(x), x[:, :axes], y[:, :axes]
+    x, y = x[:, :axes], y[:, :axes]
     from_x, from_y = x - x.mean(axis=0), y - y.mean(axis=0)
     u, d, v = np.linalg.svd(from_y.T @ from_x / n)
     signs = np.ones(axes)
@@ -67,11 +63,25 @@ def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) 
 def estimate_offset(estimate: PoseTrajectory, truth: PoseTrajectory, align: Alignment = "none") -> float:
     """The time, s, to add to the times of an estimate so that it fits the truth best, to 0.1 ms.
 
-    First the lag of the best correlation of horizontal speeds, of those at which at least half of the shorter one
-    overlaps; then, within 0.5 s of it, the offset of the least root mean square distance between the aligned estimate
-    and the interpolated truth. Raises UnusableInput where no correlation reaches 0.5.
+    First the lag at which horizontal speeds correlate best; then, within 0.5 s of it, the offset of the least distance
+    between the aligned estimate and the interpolated truth. Raises UnusableInput where no correlation reaches 0.5.
     """
-    coarse = _by_speed(estimate, truth)
+    from scipy.signal import correlate, correlation_lags
+
+    lasts = [float(t.times[-1] - t.times[0]) for t in (estimate, truth)]
+    if min(lasts) < 4 * WINDOW_S or max(lasts) > LONGEST_S:
+        expected = f"expected 2 to {LONGEST_S:,.0f} s; give --time-offset in seconds"
+        raise UnusableInput(f"{estimate.name}: {lasts[0]:.3g} s, and {lasts[1]:.3g} s of truth; {expected}")
+    grids = [np.arange(t.times[0], t.times[-1] - WINDOW_S, GRID_S) + WINDOW_S / 2 for t in (estimate, truth)]
+    # Rounding may put the ends of the windows beyond the trajectory's.
+    v, w = (np.nan_to_num(_speeds(t, grid)) for t, grid in zip((estimate, truth), grids, strict=True))
+    n = np.round(correlate(np.ones_like(w), np.ones_like(v), method="fft"))
+    r = correlate(w - w.mean(), v - v.mean(), method="fft") / (np.maximum(n, 1) * max(v.std() * w.std(), 1e-9))
+    r[n < min(len(v), len(w)) / 2] = 0.0
+    if r.max() < 0.5:
+        found = f"{estimate.name}: no time offset fits: speeds correlate with the true ones by {r.max():.2f}"
+        raise UnusableInput(f"{found}; expected 0.5 or more, from changes of speed; give --time-offset in seconds")
+    coarse = grids[1][0] - grids[0][0] + correlation_lags(len(w), len(v))[r.argmax()] * GRID_S
     estimate = estimate.at_rows(np.unique(np.linspace(0, len(estimate) - 1, 5000).astype(int)))
 
     def distance(offset: float) -> float:
@@ -79,9 +89,9 @@ def estimate_offset(estimate: PoseTrajectory, truth: PoseTrajectory, align: Alig
         rows = np.flatnonzero((times >= truth.times[0]) & (times <= truth.times[-1]))
         if len(rows) < max(3, 0.25 * min(len(estimate), len(truth))):
             return math.inf
-        of, true = estimate.at_rows(rows), PoseTrajectory(times[rows], _places(truth, times[rows]), None, truth.name)
+        part, true = estimate.at_rows(rows), PoseTrajectory(times[rows], _places(truth, times[rows]), None, truth.name)
         # The first pose alone would follow the noise of one row.
-        moved = alignment("none" if align == "origin" else align, of, true).points(of.positions)
+        moved = alignment("none" if align == "origin" else align, part, true).points(part.positions)
         return float(np.sqrt(np.mean(np.nansum((moved - true.positions) ** 2, axis=1))))
 
     # The distance has one minimum near the right offset, but small ripples where poses enter and leave the overlap.
@@ -94,35 +104,8 @@ def estimate_offset(estimate: PoseTrajectory, truth: PoseTrajectory, align: Alig
     return float(low + high) / 2
 
 
-def _by_speed(estimate: PoseTrajectory, truth: PoseTrajectory) -> float:
-    """The lag, s, of the best correlation of the speeds every `GRID_S`, at each lag over the part that overlaps."""
-    from scipy.signal import correlate, correlation_lags
-
-    lasts = [float(t.times[-1] - t.times[0]) for t in (estimate, truth)]
-    if min(lasts) < 4 * WINDOW_S or max(lasts) > LONGEST_S:
-        found = f"{estimate.name}: {lasts[0]:.3g} s, and {lasts[1]:.3g} s of truth, to estimate a time offset"
-        raise UnusableInput(f"{found}; expected 2 to {LONGEST_S:,.0f} s; give --time-offset in seconds")
-    grids = [np.arange(t.times[0], t.times[-1] - WINDOW_S, GRID_S) + WINDOW_S / 2 for t in (estimate, truth)]
-    # Rounding may put the ends of the windows beyond the trajectory's.
-    v, w = (np.nan_to_num(_speeds(t, grid)) for t, grid in zip((estimate, truth), grids, strict=True))
-    # Without their means the sums below lose fewer digits.
-    v, w, one, true_one = v - v.mean(), w - w.mean(), np.ones_like(v), np.ones_like(w)
-    of = ((one, true_one), (v, true_one), (one, w), (v, w), (v * v, true_one), (one, w * w))
-    n, *sums = (correlate(b, a, method="fft") for a, b in of)
-    mean_v, mean_w, product, square_v, square_w = (each / n for each in sums)
-    variances = (square_v - mean_v**2) * (square_w - mean_w**2)
-    correlations = (product - mean_v * mean_w) / np.sqrt(np.maximum(variances, 1e-18))
-    correlations[np.round(n) < min(len(v), len(w)) / 2] = 0.0
-    best = int(correlations.argmax())
-    if correlations[best] < 0.5:
-        found = f"{estimate.name}: no time offset fits: its speed and the true one correlate by"
-        expected = "expected 0.5 or more, from changes of speed; give --time-offset in seconds"
-        raise UnusableInput(f"{found} {correlations[best]:.2f}; {expected}")
-    return float(grids[1][0] - grids[0][0] + correlation_lags(len(w), len(v))[best] * GRID_S)
-
-
 def _places(poses: PoseTrajectory, times: np.ndarray) -> np.ndarray:
-    """The interpolated positions (..., 3), m, at times (...), s; NaN before the first and after the last."""
+    """The interpolated positions (n, 3), m, at times (n,), s; NaN before the first and after the last."""
     known, rows = np.unique(poses.times, return_index=True)
     return np.stack([np.interp(times, known, axis, np.nan, np.nan) for axis in poses.positions[rows].T], axis=-1)
 
@@ -228,8 +211,7 @@ class TrajectoryErrors:
 
     def to_dict(self) -> dict[str, Any]:
         """All of it in plain numbers, for JSON; the angles in rad."""
-        names = ("pairs", "possible", "planar", "ape_m", "ape_rad", "rpe_m", "rpe_rad", "speed_mps")
-        s = self.similarity
+        names, s = ("pairs", "possible", "planar", "ape_m", "ape_rad", "rpe_m", "rpe_rad", "speed_mps"), self.similarity
         moved = {"rotation": s.rotation, "translation_m": s.translation, "scale": s.scale}
         times = {"time_offset_s": self.time_offset, "time_tolerance_s": self.tolerance, "alignment": moved}
         return times | {name: getattr(self, name) for name in names}
@@ -253,27 +235,23 @@ def compare_trajectories(
     body frames of the first poses. Raises UnusableInput where nothing is associated or the alignment not determined.
     """
     steps = [step_of(text) for text in rpe]
-    if not tolerance >= 0:
-        raise UnusableInput(f"a tolerance of {tolerance:g} s; expected a time of zero or more")
+    require(tolerance >= 0, "tolerance", tolerance, "a time of zero or more, s")
     offset = estimate_offset(estimate, truth, align) if time_offset == "auto" else float(time_offset)
     rows, true_rows = associate(estimate, truth, tolerance, offset)
     if not len(rows):
         (first, last), (begin, end) = estimate.times[[0, -1]] + offset, truth.times[[0, -1]]
-        rows, true_rows = associate(estimate, truth, np.inf, offset)
-        apart = np.median(np.abs(estimate.times[rows] + offset - truth.times[true_rows]))
+        apart = np.median(_nearest(truth.times, estimate.times + offset)[1])
         way = f"a larger --time-tolerance: half of the poses have a true one within {apart:.3g} s"
         if last < begin or first > end:
             way = f"a --time-offset: with {round(begin - estimate.times[0], 6):.16g} both begin together"
-        raise UnusableInput(
-            f"{estimate.name}: no pose lies within {tolerance:g} s of a true pose: estimates from "
-            f"{span(first, last)}, truth from {span(begin, end)}; give {way}"
-        )
+        spans = f"estimates from {span(first, last)}, truth from {span(begin, end)}"
+        raise UnusableInput(f"{estimate.name}: no pose lies within {tolerance:g} s of a true pose: {spans}; give {way}")
     similarity = alignment(align, estimate.at_rows(rows), truth.at_rows(true_rows))
     aligned = replace(similarity.trajectory(estimate), times=estimate.times + offset)
     planar = not (np.isfinite(estimate.positions).all() and np.isfinite(truth.positions).all())
-    pair = aligned.at_rows(rows), truth.at_rows(true_rows)
+    pair = [aligned.at_rows(rows), truth.at_rows(true_rows)]
     if planar:
-        pair = tuple(replace(t, positions=np.nan_to_num(t.positions) * [1, 1, 0]) for t in pair)  # type: ignore[assignment]
+        pair = [replace(t, positions=np.nan_to_num(t.positions) * [1, 1, 0]) for t in pair]
     given = [t.quaternions for t in pair if t.quaternions is not None]
     turns = [Rotation.from_quat(q, scalar_first=True) for q in given] if len(given) == 2 else []
     rpe_m, rpe_rad = dict[str, Statistics](), dict[str, Statistics]()
