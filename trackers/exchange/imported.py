@@ -6,6 +6,7 @@ import math
 import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib import import_module
@@ -38,10 +39,6 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
     if name in FORMATS:
         module = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}")
         return module.read_source(path, name, asked)  # type: ignore[no-any-return]
-    (mapping,) = asked.mappings
-    if mapping.columns:
-        wrong = f"{listed(mapping.columns)}: a file of this format has its columns; leave --columns out"
-        raise UnusableInput(f"{path}: {wrong}")
     function: Callable[[Path], Any] = from_file(name, "format", "function", lambda x: isinstance(x, FunctionType))
     try:
         frames = function(path)
@@ -52,14 +49,17 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
         raise UnusableInput(f"{path}: {name} fails ({fault}); correct either") from error
     if not isinstance(frames, Mapping) or not frames:
         raise UnusableInput(f"{name}: gave {type(frames).__name__} of {path}; expected tables by name, one at least")
-    return _of_frames(frames, {}, mapping.tag, f"{name}: ")
+    (mapping,) = asked.mappings
+    return _of_frames(frames, dict.fromkeys(frames, mapping.columns), mapping.tag, f"{name}: ")
 
 
-def _of_frames(frames: Mapping[str, Any], columns: Mapping[str, Sequence[str]], tag: str | None, where: str) -> Source:
+def _of_frames(
+    frames: Mapping[str, Any], columns: Mapping[str, Mapping[str, str]], tag: str | None, where: str
+) -> Source:
     source = Source()
     for table, frame in frames.items():
         try:
-            mapping = TableMapping(table=table, columns=columns_of(columns.get(table, ())), tag=tag)
+            mapping = TableMapping(table=table, columns=columns.get(table, {}), tag=tag)
             file = TableFile(Path(f"{where}{table}"), _polars(frame, table))
         except UnusableInput as problem:
             raise UnusableInput(f"{where}{problem}") from None
@@ -87,7 +87,7 @@ def import_frames(
     fits = columns is None or isinstance(columns, Mapping)
     require(fits, "import_frames: columns", columns, "expressions by table, as {'ranges': ['range_m=distance in mm']}")
     try:
-        source = _of_frames(frames, columns or {}, tag, "frame ")
+        source = _of_frames(frames, {table: columns_of(e) for table, e in (columns or {}).items()}, tag, "frame ")
     except UnusableInput as problem:
         # In words of Python.
         text = re.sub(r"; a file without a header: \S+ none|--(?=tag|columns)", "", str(problem))
@@ -123,25 +123,22 @@ def assembled(
     anchors: Mapping[str, Sequence[float]] | None = None,
     preset: MappingFile | None = None,
 ) -> RecordingFolder:
-    """The recording of tables, with a rig or the anchors that a log names; raises UnusableInput for unknown sensors.
+    """The recording of tables, with a rig or the anchors of a log; ranges to a rig without any are for a survey.
 
-    Ranges to a rig that is given without anchors are for a survey. `name`: of the recording, by default the rig's.
-    `preset`: has the places of tags on their body and the tags of each; the rig gets them for tags in the tables.
+    `name`: by default the rig's. `preset`: has the bodies with places of tags, for those in the tables.
     """
     if rig is None and not anchors and "ranges" in tables:
         fix = "give a rig.toml or a table of them by --rig (in Python: rig=), a rig.toml without anchors for a survey"
         raise UnusableInput(f"ranges: no positions of anchors; {fix}")
     rig, preset = rig or Rig(name or "imported"), preset or MappingFile()
     there = {tag for table in tables.values() for tag in table["tag"].unique()}
+    tags = {tag: Tag(offset=np.array(one["offset_m"])) for tag, one in preset.tags.items() if one and tag in there}
     carried = {body: tuple(t for t in one.get("tags", ()) if t in there) for body, one in preset.bodies.items()}
     rig = replace(
         rig,
         name=name or rig.name,
         anchors=rig.anchors or {key: np.array(place) for key, place in (anchors or {}).items()},
-        tags={
-            tag: Tag(offset=np.array(place["offset_m"])) for tag, place in preset.tags.items() if place and tag in there
-        }
-        | dict(rig.tags),
+        tags=tags | dict(rig.tags),
         bodies={body: names for body, names in carried.items() if len(names) > 1} | dict(rig.bodies),
     )
     return RecordingFolder(rig.name, None, rig, dict(tables))
@@ -154,37 +151,30 @@ def save(folder: RecordingFolder, out: Path, source: Source, replaced: bool = Fa
     are checked in the order of the source and written by time. Raises UnusableInput.
     """
     there = _read(out) if (out / RIG_FILE).is_file() else None
-    if there is None and out.exists() and not (out.is_dir() and not any(out.iterdir())):
+    if there is None and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UnusableInput(f"--out {out}: exists; expected a new folder, or a recording to add tables to")
-    known = {} if there is None else there.tables
+    known = {} if there is None else dict(there.tables)
     if not replaced and (twice := [name for name in folder.tables if name in known]):
         raise UnusableInput(f"--out {out}: has the table {twice[0]} already; expected another; --replace replaces it")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with beside(out, Path.mkdir) as scratch:
-            new = scratch / "recording"
-            read = _written(replace(folder, tables=dict(known) | dict(folder.tables)), new, source)
-            if there is None:
-                if out.exists():
-                    out.rmdir()
-                new.rename(out)
-                return replace(read, path=out)
+            read = _written(replace(folder, tables=known | dict(folder.tables)), scratch / "recording", source)
+            out.mkdir(exist_ok=True)
             for name in folder.tables:
                 for suffix in SUFFIXES:
                     (out / f"{name}{suffix}").unlink(missing_ok=True)
-                (new / f"{name}.parquet").replace(out / f"{name}.parquet")
-            if rig_text(folder.rig) != rig_text(there.rig):
-                (new / RIG_FILE).replace(out / RIG_FILE)
+            same = there is not None and rig_text(folder.rig) == rig_text(there.rig)
+            for file in (*(f"{name}.parquet" for name in folder.tables), *([] if same else [RIG_FILE])):
+                (scratch / "recording" / file).replace(out / file)
     except OSError as error:
         raise UnusableInput(f"--out {out}: cannot be written ({error.strerror}); check its permissions") from error
-    return replace(read, path=out, notices=tuple(x for x in read.notices if x not in there.notices))
+    before = () if there is None else there.notices
+    return replace(read, path=out, notices=tuple(line for line in read.notices if line not in before))
 
 
 def _written(folder: RecordingFolder, path: Path, source: Source) -> RecordingFolder:
-    """The recording after it was written to `path` and read back, its tables then in the order of time.
-
-    A refusal names the place in the source.
-    """
+    """The recording, written to `path` and read back; a refusal names the place in the source."""
     tables = {name: table.drop(ORIGIN, strict=False) for name, table in folder.tables.items()}
     write_recording(replace(folder, tables=tables), path)
 
@@ -215,10 +205,9 @@ def _read(path: Path) -> RecordingFolder:
 def read_geometry(
     path: Path | None, out: Path, preset: MappingFile, reading: Reading
 ) -> tuple[Rig | None, dict[str, tuple[float, ...]], list[str]]:
-    """The rig of the recording in `out`, or where it is empty, of `path`, or the positions, m, there, and notices.
+    """The rig of the recording in `out`, or where it is empty, that of `path`, or the positions, m, there; and notices.
 
-    `path`: a rig.toml, a file of the makers, which the pattern of the `preset` reads, or a table of anchors. Tags of
-    the empty rig are kept. Raises UnusableInput.
+    `path`: a rig.toml, a file for the pattern of the `preset`, or a table of anchors. Raises UnusableInput.
     """
     there = read_rig(out / RIG_FILE)[0] if (out / RIG_FILE).is_file() else None
     if path is None:
@@ -259,24 +248,19 @@ def _read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, 
 
 
 def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:
-    """The origin, s on the clock of the source: `start`, the earliest measurement, a number, or a date.
+    """The origin, s on the clock of the source: a number, a date, UTC without a time zone, or `start`.
 
-    `start` is the earliest row where the tables have no measurements. A date without a time zone is UTC. Raises
-    UnusableInput for another text.
+    `start` is the earliest measurement, or row without any. Raises UnusableInput for another text.
     """
     if text == "start":
         return first_time({name: _by_time(table) for name, table in tables.items()})
-    for read in (float, lambda date: _utc(datetime.fromisoformat(date))):
-        try:
-            if math.isfinite(seconds := read(text)):
-                return seconds
-        except ValueError:
-            pass
+    with suppress(ValueError):
+        if math.isfinite(seconds := float(text)):
+            return seconds
+    with suppress(ValueError):
+        date = datetime.fromisoformat(text)
+        return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
     raise UnusableInput(f"--origin {text}: expected start, seconds, or a date such as 2026-05-01T12:00:00.25")
-
-
-def _utc(date: datetime) -> float:
-    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
 def since(tables: Mapping[str, pl.DataFrame], origin: float) -> dict[str, pl.DataFrame]:

@@ -111,11 +111,7 @@ def _trek1000(body: str, tag: str | None, name: str) -> tuple[float | None, Rows
 
 
 def _fira(body: str, tag: str | None, name: str) -> tuple[float | None, Rows]:
-    """The results of the makers' FiRa application (INITF), and the number of its block.
-
-    A kit that is the `tag` prints distances to anchors and the angle at which these saw it; else the kit is an anchor,
-    named as the file, and prints distances to tags and the angles at which it saw them.
-    """
+    """Distances and angles from a kit that is the `tag` to anchors, or from an anchor, named as the file, to tags."""
     content, rows = json.loads(body), Rows()
     for result in content["results"]:
         other, distance = str(result["Addr"]).removeprefix("0x"), result.get("D_cm")

@@ -33,11 +33,9 @@ _HOLE = re.compile(r"\{(\w+)\}")
 
 @dataclass(frozen=True, kw_only=True)
 class TableMapping(Reading):
-    """The columns of a table from a source's, and how a source that is text is read; docs/import.md has the keys.
+    """The columns of a table from a source's, by target as `range_m[A1]`, in the keys of docs/import.md.
 
-    `columns`: by target, or target and sensor as `range_m[A1]`, an expression. `where`: by column, the values of the
-    rows that are read. `anchors`: x_m, y_m, z_m of each row's anchor. `body`: whether poses are moved to the `offsets`
-    of tags, m. Raises UnusableInput.
+    `offsets`: the places of tags, m, on a body whose poses are read. Raises UnusableInput.
     """
 
     table: str
@@ -66,10 +64,7 @@ class TableMapping(Reading):
 
 @dataclass(frozen=True, kw_only=True)
 class MappingFile:
-    """A file of mappings; those with a topic are for bags, the others for other files.
-
-    `anchors`: the pattern of an anchor in the makers' file. `tags`, `bodies`: as in a rig.
-    """
+    """A file of mappings for bags, with a topic, and other files; `anchors`: the pattern of one in the makers' file."""
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}
 
@@ -102,11 +97,7 @@ def read_mapping(path: Path) -> MappingFile:
 
 
 class Asked(NamedTuple):
-    """What is asked of a source: `mappings`, one for each table; of a log its tag alone.
-
-    `interval`: s between the lines of a log without times. `skip`: whether bad lines of a log are left out.
-    `definitions`: .msg files of the types that a bag does not define.
-    """
+    """What is asked of a source: tables, s between lines without times, bad lines left out, .msg files for a bag."""
 
     mappings: Sequence[TableMapping] = ()
     interval: float | None = None
@@ -172,7 +163,16 @@ class Source:
         for (tag,), rows in filled.partition_by("tag", as_dict=True).items() if name in ("truth", "fixes") else ():
             where = f"{file.path}: column {self.parts[-1][1]['t_s']}"
             refuse_lost_digits(where, rows, f"poses of tag {tag}", ", or add their column: t_s=secs+nsecs*1e-9")
-        filled = _at_the_tags(filled, mapping) if mapping.body else filled
+        if mapping.body:
+            if QUATERNION[0] not in filled.columns:
+                raise UnusableInput(f"{name}: body = true without an attitude; expected qw, qx, qy, qz in columns")
+            q, at = (
+                filled.select(QUATERNION).to_numpy(),
+                [mapping.offsets.get(t, (0.0, 0.0, 0.0)) for t in filled["tag"]],
+            )
+            turns = rotation_matrices(q / np.linalg.norm(q, axis=1, keepdims=True))
+            moved = np.einsum("nij,nj->ni", turns, np.array(at, float))
+            filled = filled.with_columns(pl.col(f"{a}_m") + pl.Series(x) for a, x in zip("xyz", moved.T, strict=True))
         filled = filled.sort("t_s", maintain_order=True) if len(tables) > 1 else filled
         if name in self.tables:
             filled = pl.concat([self.tables[name], filled], how="diagonal").sort("t_s", maintain_order=True)
@@ -253,23 +253,19 @@ def _asked(file: TableFile, mapping: TableMapping, named: set[str]) -> pl.Series
     return asked
 
 
-def _at_the_tags(table: pl.DataFrame, mapping: TableMapping) -> pl.DataFrame:
-    """The table with positions of bodies moved to their tags."""
-    if QUATERNION[0] not in table.columns:
-        raise UnusableInput(f"{mapping.table}: body = true without an attitude; expected qw, qx, qy, qz in columns")
-    q = table.select(QUATERNION).to_numpy()
-    offsets = np.array([mapping.offsets.get(tag, (0.0, 0.0, 0.0)) for tag in table["tag"]], float)
-    moved = np.einsum("nij,nj->ni", rotation_matrices(q / np.linalg.norm(q, axis=1, keepdims=True)), offsets)
-    return table.with_columns(pl.col(f"{a}_m") + pl.Series(x) for a, x in zip("xyz", moved.T, strict=True))
-
-
 def _complete(
     file: TableFile, mapping: TableMapping, expressions: dict[str, Expression], sensor: str | None
 ) -> dict[str, Expression]:
     """The expressions of all columns of a table, of one sensor or of all; raises UnusableInput for one that lacks."""
     present, table = file.frame.columns, mapping.table
     wanted = layout(table, [*expressions, *(name for name in present if name not in expressions)])
-    _refuse_other_tags(file, mapping.tag, expressions.get("tag"))
+    own = expressions.get("tag", Expression("tag", "tag", ("tag",)))
+    given, column = mapping.tag or own.constant, next(iter(own.sources), "tag")
+    tags = {*texts_of(file.frame[column])} - {None, "", given} if given and column in present else set()
+    if tags and (mapping.tag or len(tags) > 1):
+        fix = f'leave it out, or read one alone: where = {{ {column} = ["{min(tags)}"] }} in a file of --mapping'
+        found = f"the column {column} has {listed(sorted(tags))}, which --tag {given} would overwrite"
+        raise UnusableInput(f"{file.path}: {found}; {fix}")
     constants = {} if mapping.tag is None else {"tag": mapping.tag}
     if sensor is not None:
         each = [sensor] if len(wanted.ids) == 2 else [one.strip() for one in sensor.split(",")]
@@ -295,13 +291,3 @@ def _complete(
     if 0 < sum(name in expressions for name in QUATERNION) < 4:
         raise UnusableInput(f"{file.path}: has a part of qw, qx, qy, qz; expected all or none")
     return {name: expressions[name] for name in (*known, *quality) if name in expressions}
-
-
-def _refuse_other_tags(file: TableFile, tag: str | None, own: Expression | None) -> None:
-    """Raises UnusableInput where a `tag` for all rows, or `own` as a text, overwrites others that the rows have."""
-    given, column = (own and own.constant) if tag is None else tag, next(iter(own.sources if own else ()), "tag")
-    found = {*texts_of(file.frame[column])} - {None, ""} if given and column in file.frame.columns else set()
-    if found - {given} and (tag is not None or len(found) > 1):
-        fix = f'leave it out, or read one tag alone: where = {{ {column} = ["{min(found)}"] }} in a file of --mapping'
-        others = f"the column {column} has {listed(sorted(found))}"
-        raise UnusableInput(f"{file.path}: {others}; --tag {given} would overwrite it; {fix}")

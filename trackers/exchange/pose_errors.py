@@ -187,12 +187,10 @@ def _speed_errors(estimated: PoseTrajectory, true: PoseTrajectory, times: np.nda
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryErrors:
-    """Errors of a trajectory against the truth: statistics of absolute ones (`ape`), and by step of relative (`rpe`).
+    """Statistics of absolute errors (`ape`), of relative ones by step (`rpe`), and of horizontal speeds over 0.5 s.
 
-    `pairs`: poses with a true one, of `possible`, the length of the shorter trajectory. `planar`: whether a height is
-    unknown, so that errors are horizontal. `time_offset`, s, and `similarity` were applied to the estimate; `aligned`
-    is all of it. `ape_rad`, `rpe_rad`: None or empty without attitudes. `speed_mps`: of estimated minus true horizontal
-    speed over 0.5 s, with `bias` their mean; None where no such interval lies in both.
+    `pairs`: poses with a true one, of `possible`, the length of the shorter trajectory. `planar`: a height is unknown,
+    so that errors are horizontal. `time_offset`, s, and `similarity` lead from the estimate to `aligned`.
     """
 
     name: str

@@ -83,7 +83,11 @@ def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
     if lines.is_empty():
         raise UnusableInput(f"{path}: has no rows, expected a table; --skip and --header say where it begins")
     at, head = lines.row(0)
-    mark = form.separator or (said[1] if said else _separator_of(head, form.decimal))
+    # A comma goes first unless numbers have it, blanks are the last.
+    marks = [mark for mark in (";\t|," if form.decimal == "," else ",;\t|") if mark in head] + [" "] * (
+        " " in head.strip()
+    )
+    mark = form.separator or (said[1] if said else next(iter(marks), ","))
     if form.separator is None and mark != ",":
         notices.append(f"cells are read as separated by {mark!r}; another mark: --separator")
     rows = _cells(path, lines, mark)
@@ -126,14 +130,6 @@ def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
     if frame.is_empty():
         raise UnusableInput(f"{path}: the table has no rows, expected at least one below line {at}")
     return _with_missing(path, frame, rows["line"], form, notices)
-
-
-def _separator_of(head: str, decimal: str) -> str:
-    """The mark in the header: a comma goes first unless numbers have it, blanks are the last."""
-    marks = [mark for mark in ";\t,|" if mark in head]
-    if "," in marks and (decimal == "." or len(marks) == 1):
-        return ","
-    return next(iter(marks), " " if " " in head.strip() else ",")
 
 
 def _cells(path: Path, lines: pl.DataFrame, mark: str) -> pl.DataFrame:

@@ -91,10 +91,7 @@ def with_truth_moved(
 
 
 def leaning(recording: RecordingFolder) -> tuple[Similarity, float]:
-    """The turn that makes gravity vertical in the truth's frame, and its angle, °: 0 where an IMU does not tell.
-
-    Gravity is the mean of the specific force, which true attitudes take from body axes to the frame of the truth.
-    """
+    """The turn that makes gravity, as an IMU measures it, vertical in the truth's frame; its angle, ° or 0."""
     truth = recording.tables["truth"]
     for tag in truth["tag"].unique(maintain_order=True) if "imu" in recording.tables else ():
         rows, attitude = imu_rows(recording.tables["imu"], tag), true_attitude(truth.filter(pl.col("tag") == tag))
@@ -155,10 +152,10 @@ def found_placement(recording: RecordingFolder, flat: bool = False) -> tuple[Pla
 
 
 def _standard_errors(view: Compared, errors: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
-    """The standard errors of numbers fitted to readings, whose errors are white and a bias of each anchor or station.
+    """The standard errors of numbers fitted to readings with white errors and a bias of each anchor or station.
 
-    The biases have the spread of the groups' median errors, which the fit has taken part of, and of measurements other
-    than positions at least the size that cannot be told from none; errors of distances may have one part in common.
+    Biases have the spread of the groups' median errors, at least the size that cannot be told from none; distances may
+    have one in common.
     """
     e, n = errors(x), len(x)
     of_groups = np.nan_to_num(view.medians(e))
