@@ -25,11 +25,7 @@ _TEXT = ("recording", "tag", "station", "status", "wrapped")
 
 
 def read_estimates(path: Path) -> tuple[pl.DataFrame, tuple[str, ...]]:
-    """The estimates in a TUM, KITTI or EuRoC file or a table, and notices.
-
-    A table, CSV or Parquet, has t_s, x_m, y_m and what else of the columns that `track` writes, with `qw, qx, qy, qz`.
-    Raises UnusableInput with file and line.
-    """
+    """The estimates in a TUM, KITTI or EuRoC file, or a table with columns that `track` writes, and notices."""
     name = path.name.lower()
     if not name.endswith(SUFFIXES) or (name.endswith(".csv") and "t_s" not in beginning_of(path).partition("\n")[0]):
         trajectory = read_trajectory(path)
@@ -62,11 +58,7 @@ def read_truth(path: Path, tag: str) -> RecordingFolder:
 
 
 def assigned(tracks: pl.DataFrame, truths: dict[str, pl.DataFrame], tag: str | None, path: Path) -> pl.DataFrame:
-    """The estimates of a file with `recording` and `tag`; where the file does not name them, the truth does.
-
-    `tag`: the one that the file follows, needed where the truth has several. Raises UnusableInput where it is not clear
-    which truth is meant.
-    """
+    """The estimates with `recording` and `tag`, those of the truth where the file at `path` names none."""
     tags = sorted({str(t) for truth in truths.values() for t in truth["tag"].unique()})
     for name, known, option in (("recording", [*truths], "--truth"), ("tag", tags, "--tag")):
         if name not in tracks.columns:
@@ -101,9 +93,7 @@ def compare_tracks(
 ) -> tuple[pl.DataFrame, list[ComparedTrack]]:
     """The estimates, each track aligned and shifted in time, and the errors of each track that has a truth.
 
-    `tracks`: the columns of tracks.parquet. `truths`: by recording, a truth table. Further arguments as of
-    `compare_trajectories`, which is called for each track. Raises UnusableInput as it does, for bearings, and where no
-    track has a truth.
+    `truths`: by recording, a truth table. Further arguments as of `compare_trajectories`. Raises UnusableInput.
     """
     if is_bearing(tracks):
         raise UnusableInput("the tracks hold bearings; expected positions x_m, y_m; leave the trajectory options out")

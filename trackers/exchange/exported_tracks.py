@@ -39,11 +39,7 @@ class ExportedTrack:
 
 
 def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
-    """The trajectories of a table of estimates or truth; rows and tracks without an estimate are left out.
-
-    Where the heading alone is known, the body is taken as level. Raises UnusableInput for bearings, and if nothing
-    remains.
-    """
+    """The trajectories in a table of estimates or truth; a body with a heading alone is level. Or UnusableInput."""
     if is_bearing(table):
         raise UnusableInput("the tracks hold bearings, no positions; --format csv writes them")
     tracks = []
@@ -63,8 +59,7 @@ def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
 def write_bag(out: Path, tracks: Sequence[ExportedTrack]) -> list[str]:
     """Writes the bag, a new folder, completely or not at all, and returns the topics, /RECORDING/TAG.
 
-    An unknown variance of the position is 0 as in ROS; attitudes are the poses' or the identity, with zero
-    variance. Raises UnusableInput for times before 0, an existing folder, and without the package rosbags.
+    An unknown variance is 0 as in ROS, an unknown attitude the identity. Raises UnusableInput for times before 0.
     """
     rosbag2, typesys = rosbags_module("rosbag2", "--format ros2"), rosbags_module("typesys", "--format ros2")
     if early := [track.poses.name for track in tracks if track.poses.times[0] < 0]:

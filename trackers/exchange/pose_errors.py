@@ -18,10 +18,8 @@ from trackwright.trackers.exchange.trajectories import PoseTrajectory, Similarit
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 Statistics = dict[str, float]
-ALIKE = 0.3
-"""The least correlation of aligned positions with the true ones from which an alignment is taken."""
-WINDOW_S, GRID_S, LONGEST_S = 0.5, 0.05, 10_000.0
-"""Speeds are centred distances over `WINDOW_S`; for a time offset every `GRID_S` of at most `LONGEST_S`."""
+ALIKE = 0.3  # the least correlation of aligned positions with the true ones from which an alignment is taken
+WINDOW_S, GRID_S, LONGEST_S = 0.5, 0.05, 10_000.0  # of centred speeds, their grid for a time offset, the longest one
 
 
 def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) -> Similarity:
@@ -49,10 +47,9 @@ def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) 
     # A tag at rest turns as the noise of its positions does, which does not follow the truth.
     still = n * (d * signs).sum() <= ALIKE * np.linalg.norm(from_x) * np.linalg.norm(from_y)
     if still or np.count_nonzero(d > np.finfo(float).eps) < axes - 1:
-        what = "do not move with it" if still else "lie on a line"
-        fix = "--align none, or origin where heights are known" if still or axes == 2 else "--align se2, none or origin"
-        where = f"{estimate.name}: its {n} poses with truth {what}"
-        raise UnusableInput(f"{where}, so that --align {kind} finds no rotation; expected motion; use {fix}")
+        found = f"{estimate.name}: its {n} poses lie on a line, or do not move with the truth"
+        fix = "use --align none, or origin where heights are known"
+        raise UnusableInput(f"{found}, so that --align {kind} finds no rotation; expected motion; {fix}")
     scale = float((d * signs).sum() / ((from_x**2).sum() / n)) if kind in ("sim3", "scale") else 1.0
     if kind != "scale":
         rotation[:axes, :axes] = (u * signs) @ v
@@ -176,11 +173,11 @@ def statistics(errors: np.ndarray) -> Statistics:
 def _speed_errors(estimated: PoseTrajectory, true: PoseTrajectory, times: np.ndarray) -> Statistics | None:
     """Of estimated less true speeds, with their mean `bias`; intervals that touch a hole are left out."""
     errors = _speeds(estimated, times) - _speeds(true, times)
-    ends = times[:, None] + np.array([-0.5, 0.5]) * WINDOW_S
     for known in (np.unique(estimated.times), np.unique(true.times)):
-        # Where a gap follows or precedes, by the rows between which each end lies; before and after all there is none.
+        # By the rows between which each end lies; before and after all there is no gap.
         gaps = np.concatenate([[0.0], np.diff(known), [0.0]])
-        errors[(gaps[np.searchsorted(known, ends)] > HOLE_S).any(axis=1)] = np.nan
+        ends = np.searchsorted(known, times[:, None] + np.array([-0.5, 0.5]) * WINDOW_S)
+        errors[(gaps[ends] > HOLE_S).any(axis=1)] = np.nan
     errors = errors[np.isfinite(errors)]
     return statistics(np.abs(errors)) | {"bias": float(errors.mean())} if len(errors) else None
 
@@ -224,13 +221,11 @@ def compare_trajectories(
     rpe: Sequence[str] = ("1m", "1s"),
     all_pairs: bool = False,
 ) -> TrajectoryErrors:
-    """The errors of an estimated trajectory, with poses associated by time as evo does it.
+    """The errors of an estimated trajectory, as evo defines them: of poses at most `tolerance`, s, apart.
 
-    `align`: see `alignment`, fitted to the associated poses. `time_offset`: s, added to the times of the estimate;
-    "auto" estimates it. `tolerance`: s, the largest distance in time of two associated poses. `rpe`: steps of relative
-    errors, as 1m, 1s or 10f (rows); one longer than the trajectory has none. `all_pairs`: relative errors from every
-    pose, over steps that fit to a tenth. They compare displacements in the frame of the truth, with attitudes in the
-    body frames of the first poses. Raises UnusableInput where nothing is associated or the alignment not determined.
+    `align`: see `alignment`. `time_offset`: s, added to the times of the estimate; "auto" estimates it. `rpe`: steps as
+    1m, 1s or 10f (rows). `all_pairs`: from every pose, over steps that fit to a tenth. Relative errors are of
+    displacements in the frame of the truth, with attitudes in the body's. Raises UnusableInput where nothing fits.
     """
     steps = [step_of(text) for text in rpe]
     require(tolerance >= 0, "tolerance", tolerance, "a time of zero or more, s")

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import rotation_matrices
-from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.rows import AXES, covariances
 from trackwright.trackers.exchange.expressions import numbers_of
 from trackwright.trackers.exchange.formats import FORMATS, beginning_of
@@ -38,17 +37,14 @@ _FORMS: dict[str, tuple[int, str, str]] = {
 """By the name of a format: numbers of a line, what separates them, and both in words."""
 
 _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-_STDS = tuple(f"std_{axis}" for axis in AXES)
-_COVARIANCES = (("cov_xy_m2", 0, 1), ("cov_xz_m2", 0, 2), ("cov_yz_m2", 1, 2))
-_VELOCITY = tuple(f"v{axis}_mps" for axis in "xyz")
+_STDS, _VELOCITY = tuple(f"std_{axis}" for axis in AXES), tuple(f"v{axis}_mps" for axis in "xyz")
 
 
 @dataclass(frozen=True, eq=False)
 class PoseTrajectory:
     """Poses over time: `times` (n,) s, `positions` (n, 3) m, `quaternions` (n, 4) w, x, y, z, body to world, or None.
 
-    `name`: in messages and tables. `notices`: one line for each anomaly found while reading. The height is NaN where it
-    is unknown. Raises UnusableInput for other shapes, no poses, numbers that are not finite, and a zero quaternion.
+    The height is NaN where it is unknown. Raises UnusableInput for other shapes, and what is not finite.
     """
 
     times: np.ndarray
@@ -64,8 +60,8 @@ class PoseTrajectory:
             found = f"{n} times, positions {np.shape(self.positions)}, quaternions {np.shape(q)}"
             raise UnusableInput(f"{self.name}: {found}; expected one pose at least, (n, 3) and (n, 4)")
         sizes = np.linalg.norm(q, axis=1)
-        finite = np.isfinite(self.times) & np.isfinite(self.positions[:, :2]).all(axis=1)
-        if not (usable := finite & np.isfinite(sizes) & (sizes > 0)).all():
+        usable = np.isfinite(np.column_stack([self.times, self.positions[:, :2], sizes])).all(axis=1) & (sizes > 0)
+        if not usable.all():
             expected = "finite times and positions, and no zero quaternion; leave such poses out"
             raise UnusableInput(f"{self.name}: pose {usable.argmin() + 1} is unusable; expected {expected}")
         if self.quaternions is not None:
@@ -87,8 +83,7 @@ class PoseTrajectory:
         """A table t_s, tag, x_m, y_m, z_m and, of poses, qw, qx, qy, qz: the columns of a truth table."""
         columns: dict[str, Any] = {"t_s": self.times, "tag": [tag] * len(self)}
         columns |= dict(zip(AXES, self.positions.T, strict=True))
-        if self.quaternions is not None:
-            columns |= dict(zip(QUATERNION, self.quaternions.T, strict=True))
+        columns |= {} if self.quaternions is None else dict(zip(QUATERNION, self.quaternions.T, strict=True))
         return pl.DataFrame(columns).with_columns(pl.col(AXES).fill_nan(None))
 
 
@@ -100,20 +95,16 @@ def usable_rows(table: pl.DataFrame) -> pl.DataFrame:
     return table.filter(usable).sort("t_s", maintain_order=True)
 
 
+def trajectory_of_table(table: pl.DataFrame, name: str) -> PoseTrajectory:
+    """The usable rows of a table of one tag, with attitudes where all have one; raises UnusableInput without any."""
+    rows = usable_rows(table)
+    attitude = _stacked(rows, QUATERNION)
+    given = attitude if np.isfinite(attitude).all() and len(attitude) else None
+    return PoseTrajectory(float_column(rows, "t_s"), _stacked(rows, AXES), given, name)
+
+
 def _stacked(table: pl.DataFrame, names: Sequence[str]) -> np.ndarray:
     return np.stack([float_column(table, name) for name in names], axis=1)
-
-
-def trajectory_of_table(table: pl.DataFrame, name: str) -> PoseTrajectory:
-    """The poses of a table with columns t_s, x_m, y_m and optionally z_m and qw, qx, qy, qz, of one tag.
-
-    Rows without an estimate are left out; a row without attitude leaves all without. Raises UnusableInput if nothing
-    remains.
-    """
-    rows = usable_rows(table)
-    q = _stacked(rows, QUATERNION)
-    attitude = q if np.isfinite(q).all() and len(q) else None
-    return PoseTrajectory(float_column(rows, "t_s"), _stacked(rows, AXES), attitude, name)
 
 
 def quaternions_of(matrices: np.ndarray) -> np.ndarray:
@@ -138,42 +129,40 @@ class Similarity:
             return moved
         return self.scale * positions @ self.rotation.T + self.translation
 
+    def attitudes(self, quaternions: np.ndarray) -> np.ndarray:
+        """The images of quaternions (n, 4), those that are NaN as they are."""
+        turned, known = quaternions.copy(), np.isfinite(quaternions).all(axis=1)
+        turned[known] = quaternions_of(self.rotation @ rotation_matrices(quaternions[known]))
+        return turned
+
     def trajectory(self, poses: PoseTrajectory) -> PoseTrajectory:
         """The image of a trajectory; attitudes are turned with it."""
-        q = poses.quaternions
-        turned = None if q is None else quaternions_of(self.rotation @ rotation_matrices(q))
+        turned = None if poses.quaternions is None else self.attitudes(poses.quaternions)
         return replace(poses, positions=self.points(poses.positions), quaternions=turned)
 
     def table(self, tracks: pl.DataFrame) -> pl.DataFrame:
         """The image of a table of estimates: positions, attitudes, velocities and covariances, where it has them."""
-        columns = dict(zip(AXES, self.points(_stacked(tracks, AXES)).T, strict=True))
-        velocity = replace(self, translation=np.zeros(3)).points(_stacked(tracks, _VELOCITY))
-        columns |= dict(zip(_VELOCITY, velocity.T, strict=True))
+        velocities, columns = replace(self, translation=np.zeros(3)).points, dict[str, np.ndarray]()
+        for names, moved in ((AXES, self.points), (_VELOCITY, velocities), (QUATERNION, self.attitudes)):
+            columns |= dict(zip(names, moved(_stacked(tracks, names)).T, strict=True))
         if _STDS[0] in tracks.columns:
             P, factor = covariances(tracks), self.scale * self.rotation
+            k = 2 if self.flat else 3
             if self.flat:
-                # An unknown variance of the height, which the map leaves alone, must not reach the other axes.
-                turn = factor[:2, :2]
-                P[:, :2, :2] = turn @ P[:, :2, :2] @ turn.T
-                P[:, :2, 2] = P[:, 2, :2] = P[:, :2, 2] @ turn.T
-            else:
-                P = factor @ P @ factor.T
+                # An unknown variance of the height, which is left alone, must not reach the other axes.
+                P[:, :2, 2] = P[:, 2, :2] = P[:, :2, 2] @ factor[:2, :2].T
+            P[:, :k, :k] = factor[:k, :k] @ P[:, :k, :k] @ factor[:k, :k].T
             columns |= {name: np.sqrt(P[:, k, k]) for k, name in enumerate(_STDS)}
-            columns |= {name: P[:, i, j] for name, i, j in _COVARIANCES}
-        q = _stacked(tracks, QUATERNION)
-        known = np.isfinite(q).all(axis=1)
-        q[known] = quaternions_of(self.rotation @ rotation_matrices(q[known]))
-        columns |= dict(zip(QUATERNION, q.T, strict=True))
+            columns |= {f"cov_{'xyz'[i]}{'xyz'[j]}_m2": P[:, i, j] for i, j in ((0, 1), (0, 2), (1, 2))}
         kept = {name: values for name, values in columns.items() if name in tracks.columns}
         return tracks.with_columns(pl.Series(name, values).fill_nan(None) for name, values in kept.items())
 
 
 def read_trajectory(path: Path | str, kind: Kind | None = None) -> PoseTrajectory:
-    """The poses in a TUM, KITTI or EuRoC file, sorted by time; lines that begin with # are comments.
+    """The poses in a TUM, KITTI or EuRoC file, by its name or first lines, sorted by time; # begins a comment.
 
-    `kind`: the format, by default by the file's name or first lines. The rows of KITTI poses, which have no times,
-    are counted as seconds. A file whose attitudes are all the identity has none. Raises UnusableInput with file and
-    line.
+    KITTI poses have no times: their rows are counted as seconds. A file whose attitudes are all the identity has none.
+    Raises UnusableInput with file and line.
     """
     path, notices = Path(path), list[str]()
     ending = path.suffix.lower().removeprefix(".")
@@ -187,8 +176,8 @@ def read_trajectory(path: Path | str, kind: Kind | None = None) -> PoseTrajector
     file, _ = read_rows(path, Reading(separator=separator, header="none"))
     counts = file.frame.select(pl.sum_horizontal(pl.all().str.strip_chars().fill_null("") != "")).to_series()
     if (wrong := counts < wanted if known == "euroc" else counts != wanted).any():
-        where, found = f"{path}: line {file.lines[first_row(wrong)]}", counted(counts[first_row(wrong)], "number")  # type: ignore[index]
-        raise UnusableInput(f"{where} has {found}; expected {words}")
+        where = file.location(first_row(wrong), f"column{counts[first_row(wrong)]}, the last")
+        raise UnusableInput(f"{where}; expected {words}")
     numbers = np.stack([numbers_of(file, name).to_numpy() for name in file.frame.columns[:wanted]], axis=1)
     if not (finite := np.isfinite(numbers)).all():
         row, column = np.argwhere(~finite)[0].tolist()
@@ -221,34 +210,32 @@ def read_trajectory(path: Path | str, kind: Kind | None = None) -> PoseTrajector
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The poses of a file as the table of each mapping; raises UnusableInput with file and line."""
-    source = Source()
+    source, poses = Source(), read_trajectory(path, name)  # type: ignore[arg-type]
     for mapping in asked.mappings:
         if mapping.table not in ("truth", "fixes"):
             raise UnusableInput(f"{path}: poses are a table truth or fixes, not {mapping.table}; give --table truth")
-        poses = read_trajectory(path, name)  # type: ignore[arg-type]
         source.notices += [f"{mapping.table}: {line}" for line in poses.notices]
         source.read(TableFile(path, poses.to_polars().drop("tag")), mapping)
     return source
 
 
 def write_trajectory(trajectory: PoseTrajectory, path: Path | str, kind: Literal["tum", "kitti"] | None = None) -> Path:
-    """Writes the poses with all digits, and returns the path; the format is by default the ending of the name.
+    """Writes the poses with all digits in a format, by default the ending of the name, and returns the path.
 
-    KITTI poses have no times: these are in a second file, one a line. An unknown height is written as 0, an unknown
-    attitude as the identity. Raises UnusableInput where the format is not clear.
+    KITTI has times in a second file. An unknown height is written as 0, an unknown attitude as the identity. Raises
+    UnusableInput for another format.
     """
     path = Path(path)
     kind = kind or path.suffix.lower().removeprefix(".")  # type: ignore[assignment]
     given, positions = trajectory.quaternions, np.nan_to_num(trajectory.positions)
     q = np.tile(_IDENTITY, (len(trajectory), 1)) if given is None else given
-    if kind == "tum":
-        rows = np.column_stack([trajectory.times, positions, np.roll(q, -1, axis=1)])
-    elif kind == "kitti":
+    if kind not in ("tum", "kitti"):
+        raise UnusableInput(f"{path}: the format is not clear from the name; expected tum or kitti")
+    rows = np.column_stack([trajectory.times, positions, np.roll(q, -1, axis=1)])
+    if kind == "kitti":
         stamps = "".join(f"{time!r}\n" for time in trajectory.times.tolist())
         atomic_write(written_files(path, kind)[1], lambda target: target.write_text(stamps, encoding="utf-8"))
         rows = np.concatenate([rotation_matrices(q), positions[:, :, None]], axis=2).reshape(-1, 12)
-    else:
-        raise UnusableInput(f"{path}: the format is not clear from the name; expected tum or kitti")
     text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
     return atomic_write(path, lambda target: target.write_text(text, encoding="utf-8"))
 

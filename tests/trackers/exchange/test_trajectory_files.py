@@ -83,6 +83,6 @@ def test_a_tag_at_rest_is_aligned_by_none_or_origin_alone(align, shaking):
     rng, times = np.random.default_rng(3), np.arange(200) * 0.1
     truth = PoseTrajectory(times, [3.0, 2.0, 1.0] + shaking * rng.normal(size=(200, 3)), None, "truth")
     own = PoseTrajectory(times, truth.positions + 0.05 * rng.normal(size=(200, 3)), None, "own")
-    with pytest.raises(UnusableInput, match="do not move with it.*use --align none, or origin"):
+    with pytest.raises(UnusableInput, match="do not move with the truth.*use --align none, or origin"):
         compare_trajectories(own, truth, align)
     assert compare_trajectories(own, truth, "origin").pairs == 200
