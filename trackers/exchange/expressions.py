@@ -86,10 +86,7 @@ class Expression(NamedTuple):
 
 
 def parsed(target: str, text: str, file: TableFile | None = None) -> Expression:
-    """The expression of a target on the columns of a file; without one, on whatever fields it names.
-
-    Raises UnusableInput for a column that is not there, and a unit that does not fit.
-    """
+    """The expression of a target on the columns of a file, or on whatever fields it names; or UnusableInput."""
     text, name, known = text.strip(), target.partition("[")[0], [] if file is None else file.frame.columns
     if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
         return Expression(name, text, constant=text[1:-1])
@@ -153,10 +150,7 @@ def order_in(texts: pl.Series, order: str) -> str:
 
 
 def _moments(file: TableFile, texts: pl.Series, column: str, order: str) -> pl.Series:
-    """Times of day, which go on after midnight, or dates of an order as seconds since 1970, UTC without a zone.
-
-    All have the form of the first; null where empty. Raises UnusableInput with the row of others.
-    """
+    """Times of day, which go on after midnight, or dates, all as the first, as s since 1970, UTC without a zone."""
     full, order = (texts != "").fill_null(False), order_in(texts, order)
     first = next(iter(texts.filter(full)), "")
     if order == CLOCK:

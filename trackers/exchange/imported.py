@@ -123,10 +123,7 @@ def assembled(
     anchors: Mapping[str, Sequence[float]] | None = None,
     preset: MappingFile | None = None,
 ) -> RecordingFolder:
-    """The recording of tables, with a rig or the anchors of a log; ranges to a rig without any are for a survey.
-
-    `name`: by default the rig's. `preset`: has the bodies with places of tags, for those in the tables.
-    """
+    """The recording of tables, with a rig, or the anchors of a log, and the bodies of a preset; or UnusableInput."""
     if rig is None and not anchors and "ranges" in tables:
         fix = "give a rig.toml or a table of them by --rig (in Python: rig=), a rig.toml without anchors for a survey"
         raise UnusableInput(f"ranges: no positions of anchors; {fix}")
@@ -145,10 +142,9 @@ def assembled(
 
 
 def save(folder: RecordingFolder, out: Path, source: Source, replaced: bool = False) -> RecordingFolder:
-    """Writes the recording, or adds its tables to the recording in `out`; returns it as read back, with new notices.
+    """Writes the recording, or adds its tables to that in `out`; returns it as read back, with new notices.
 
-    Nothing is written of one that cannot be read; a table that is there is replaced where that is asked for alone. Rows
-    are checked in the order of the source and written by time. Raises UnusableInput.
+    Rows are checked in the order of the source and written by time; nothing is written of what is refused.
     """
     there = _read(out) if (out / RIG_FILE).is_file() else None
     if there is None and out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -205,10 +201,7 @@ def _read(path: Path) -> RecordingFolder:
 def read_geometry(
     path: Path | None, out: Path, preset: MappingFile, reading: Reading
 ) -> tuple[Rig | None, dict[str, tuple[float, ...]], list[str]]:
-    """The rig of the recording in `out`, or where it is empty, that of `path`, or the positions, m, there; and notices.
-
-    `path`: a rig.toml, a file for the pattern of the `preset`, or a table of anchors. Raises UnusableInput.
-    """
+    """The rig in `out`, or where that is empty, by `path`, or the positions, m, of anchors in `path`; and notices."""
     there = read_rig(out / RIG_FILE)[0] if (out / RIG_FILE).is_file() else None
     if path is None:
         return there, {}, []
@@ -223,10 +216,7 @@ def read_geometry(
 
 
 def _read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, ...]], list[str]]:
-    """The positions, m, of anchors in a table with their ids and columns x, y, z, and notices; raises UnusableInput.
-
-    The columns may be `X`, `x_mm`, `x [mm]`, `X (m)`; ids are in the column `anchor` or `id`, or the only other one.
-    """
+    """The positions, m, of anchors in a table with ids and columns as `X`, `x_mm`, `x [mm]`, `X (m)`; and notices."""
     file, notices = read_rows(path, reading)
     matches = {n: re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", n.strip().lower()) for n in file.frame.columns}
     axes = {m[1]: f"`{n}` in {m[2] or 'm'}" for n, m in matches.items() if m and (m[2] or "m") in UNITS["m"]}
@@ -248,10 +238,7 @@ def _read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, 
 
 
 def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:
-    """The origin, s on the clock of the source: a number, a date, UTC without a time zone, or `start`.
-
-    `start` is the earliest measurement, or row without any. Raises UnusableInput for another text.
-    """
+    """The origin, s: a number, a date, UTC without a time zone, or `start`, the earliest measurement or row."""
     if text == "start":
         return first_time({name: _by_time(table) for name, table in tables.items()})
     with suppress(ValueError):

@@ -44,8 +44,7 @@ _LINES = {
 def read_source(path: Path, name: str, asked: Asked) -> Source:
     """The readings of a log; lines of the shell and raw ones of TREK1000 are left out.
 
-    The time is the text before the readings: a number, in s or by an expression as `t_s=time in ms`, a date or a time
-    of day. In a log without, it is that of a TREK1000, or the number of the line, or the Block, times the interval.
+    The time stands before the readings; without, it is a TREK1000's, or the line's number or Block times the interval.
     """
     (mapping,), begins, number = asked.mappings, re.compile(FORMATS[name].begins), count()
     if {*mapping.columns} - {"t_s"} or mapping.sources - {"time"}:

@@ -33,10 +33,7 @@ _HOLE = re.compile(r"\{(\w+)\}")
 
 @dataclass(frozen=True, kw_only=True)
 class TableMapping(Reading):
-    """The columns of a table from a source's, by target as `range_m[A1]`, in the keys of docs/import.md.
-
-    `offsets`: the places of tags, m, on a body whose poses are read. Raises UnusableInput.
-    """
+    """A table of a source, in the keys of docs/import.md; `offsets`: of tags, m, on a body whose poses are read."""
 
     table: str
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -114,10 +111,7 @@ def put(anchors: dict[str, tuple[float, ...]], where: str, anchor: str, place: t
 
 @dataclass
 class Source:
-    """Tables by name, notices on how they were read, and the positions of anchors, m, if the source has them.
-
-    `parts`: the columns of each part of a table with their names there; ORIGIN of a row names its part.
-    """
+    """Tables by name, notices, positions of anchors, m, and the `parts` of files that the rows' ORIGIN names."""
 
     tables: dict[str, pl.DataFrame] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
@@ -125,10 +119,7 @@ class Source:
     parts: list[tuple[TableFile, dict[str, str]]] = field(default_factory=list)
 
     def read(self, file: TableFile, mapping: TableMapping) -> None:
-        """Adds the table that a mapping makes of the columns of a file, and its anchors; raises UnusableInput.
-
-        A target without an expression is taken from the column of the same name. Rows without any value are left out.
-        """
+        """Adds the table that a mapping makes of the columns of a file, and its anchors; raises UnusableInput."""
         mapping, whole, notices, name = spelled_out(mapping, file.frame.columns), file, list[str](), mapping.table
         expressions = {target: parsed(target, text, file) for target, text in mapping.columns.items()}
         places = [parsed(*item, file) for item in mapping.anchors.items()]

@@ -23,10 +23,9 @@ WINDOW_S, GRID_S, LONGEST_S = 0.5, 0.05, 10_000.0  # of centred speeds, their gr
 
 
 def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) -> Similarity:
-    """The map from the poses of an estimate to the truth's, row k to row k: by least squares, Umeyama 1991.
+    """The map of least squares from poses to true ones, row k to row k (Umeyama 1991); or UnusableInput.
 
-    `se2`: in the plane; `scale`: the scale of `sim3` alone; `origin`: the first pose on the first true pose. Raises
-    UnusableInput where the positions do not determine the rotation.
+    `se2`: in the plane; `scale`: the scale of `sim3` alone; `origin`: the first pose on the first true pose.
     """
     require(kind in get_args(Alignment), "align", kind, f"one of {', '.join(get_args(Alignment))}")
     x, y, rotation, translation = estimate.positions, truth.positions, np.eye(3), np.zeros(3)
@@ -124,10 +123,7 @@ def step_of(text: str) -> tuple[str, float, str]:
 def associate(
     estimate: PoseTrajectory, truth: PoseTrajectory, tolerance: float = 0.01, offset: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The rows of estimate and truth that belong together: for each pose of the shorter, the nearest of the longer.
-
-    Pairs further apart than `tolerance`, s, are left out; `offset`, s, is added to the times of the estimate.
-    """
+    """The rows that belong together: for each pose of the shorter, the nearest of the longer within `tolerance`, s."""
     longer = len(estimate) > len(truth)
     short, long = (truth, estimate) if longer else (estimate, truth)
     nearest, apart = _nearest(long.times + (offset if longer else -offset), short.times)

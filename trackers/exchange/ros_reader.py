@@ -101,11 +101,7 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
 
 
 def _columns(reader: Any, path: Path, mapping: TableMapping, connections: Any) -> tuple[TableFile, TableMapping]:
-    """The fields of a topic's messages that a mapping names, one row a message or list element, and that mapping.
-
-    Standard messages need no expressions; those given go first. A field is a path such as `header.stamp` or
-    `ranges[].distance`, with a row for each element of lists in `[]`.
-    """
+    """The fields of a topic's messages, as `header.stamp`, by a mapping, and it; a row for each element of lists."""
     topic, (kind, *others) = f"{path}: topic {mapping.topic}", sorted({c.msgtype for c in connections})
     if others:
         raise UnusableInput(f"{topic} has messages of {listed([kind, *others])}; expected one type")

@@ -32,11 +32,7 @@ _HEADER = "without a header: --header none (columns are column1, column2 …); w
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """How the text of a table is read: `header` is the line of the names or `none`, `skip` counts lines above.
-
-    `separator`: None for the mark in the header. `missing`: marks of missing values. `encoding`: default UTF-8, or by
-    the first bytes UTF-16.
-    """
+    """How the text of a table is read; `header` is the line of the names, or none; `missing` are marks."""
 
     separator: str | None = None
     decimal: Literal[".", ","] = "."
@@ -66,10 +62,7 @@ def text_of(path: Path, encoding: str = "", errors: str = "strict") -> str:
 
 
 def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
-    """The columns of a table in text, those without a name `column1` …, or in Parquet, and notices.
-
-    Raises UnusableInput with the line.
-    """
+    """The columns of a table in text or Parquet, those without a name `column1` …, and notices; or UnusableInput."""
     if path.name.lower().endswith(".parquet"):
         return read_table_file(path), []
     text, notices, header = text_of(path, form.encoding), list[str](), 0
@@ -84,10 +77,8 @@ def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
         raise UnusableInput(f"{path}: has no rows, expected a table; --skip and --header say where it begins")
     at, head = lines.row(0)
     # A comma goes first unless numbers have it, blanks are the last.
-    marks = [mark for mark in (";\t|," if form.decimal == "," else ",;\t|") if mark in head] + [" "] * (
-        " " in head.strip()
-    )
-    mark = form.separator or (said[1] if said else next(iter(marks), ","))
+    marks = [mark for mark in (";\t|, " if form.decimal == "," else ",;\t| ") if mark in head.strip(" ")]
+    mark = form.separator or (said[1] if said else [*marks, ","][0])
     if form.separator is None and mark != ",":
         notices.append(f"cells are read as separated by {mark!r}; another mark: --separator")
     rows = _cells(path, lines, mark)
@@ -162,10 +153,7 @@ def _with_missing(
 def read_lines(
     path: Path, text: str, parse: Callable[[str], list[dict[str, Any]]], skip: bool, expected: str
 ) -> tuple[list[dict[str, Any]], list[int], list[str]]:
-    """The rows that `parse` makes of each line but comments, their lines, and notices.
-
-    A line of which it raises ValueError is refused, or with `skip` left out and counted.
-    """
+    """The rows that `parse` makes of each line, their lines, and notices; where it raises, a line is refused or left."""
     rows, lines, bad = list[dict[str, Any]](), list[int](), dict[int, str]()
     for number, line in enumerate(text.split("\n"), 1):
         if line.strip() and not line.startswith("#"):
@@ -186,8 +174,7 @@ def read_lines(
 def read_json(path: Path, form: Reading, interval: float | None, skip: bool) -> tuple[TableFile, list[str]]:
     """The values of JSON lines by their paths, as `UWB.A1` or `links[].id`, a row for each element of lists in `[]`.
 
-    What stands before the brace of a line is `time`; else it counts the lines in steps of the `interval`, s. `skip`:
-    leaves other lines out. Raises UnusableInput with the line.
+    What stands before the brace of a line is `time`; else it counts the lines in steps of the `interval`, s.
     """
     text, number = text_of(path, form.encoding), count()
 

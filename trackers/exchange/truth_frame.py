@@ -22,17 +22,10 @@ from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 
-LONGEST_S, STEP_S = 10.0, 0.5
-"""Differences of the clocks that are searched, and their steps; motion of a few decimetres lies between two."""
-
-LEANING, PUSH_S = 5.0, 0.2
-"""Angle of gravity to z, °, from which a truth is levelled, and the time over which an IMU is averaged, s."""
-
-FEW, NEAR = 240, 3
-"""Readings of the search, and how many of its 24 turns are refined at each difference of the clocks."""
-
-DETERMINED_M, SURE = 0.05, 3.0
-"""Standard error, m, up to which a shift in z is determined, and standard errors from which it is other than zero."""
+LONGEST_S, STEP_S = 10.0, 0.5  # differences of the clocks that are searched: some decimetres of motion between two
+LEANING, PUSH_S = 5.0, 0.2  # angle of gravity to z, °, from which a truth is levelled; time of an IMU's averages, s
+FEW, NEAR = 240, 3  # readings of the search, and how many of its 24 turns are refined at each difference
+DETERMINED_M, SURE = 0.05, 3.0  # standard error of z that is determined, and standard errors that are not zero
 
 
 class Placement(NamedTuple):
@@ -65,10 +58,7 @@ def parsed_placement(text: str) -> Placement:
 def with_truth_moved(
     imported: RecordingFolder, recording: RecordingFolder, transform: str | None, flat: bool
 ) -> tuple[RecordingFolder, list[str]]:
-    """The imported tables with the truth moved by `transform`, or as readings fit it, and notices.
-
-    `recording`: that to which they are added. `flat`: without a shift in z. Raises UnusableInput.
-    """
+    """The imported tables with the truth moved by `transform`, or as readings of the recording fit it, and notices."""
     truth, notices = imported.tables.get("truth"), list[str]()
     if truth is None:
         raise UnusableInput("--transform and --align-truth: move a truth; expected --table truth")
@@ -112,10 +102,9 @@ def leaning(recording: RecordingFolder) -> tuple[Similarity, float]:
 
 
 def found_placement(recording: RecordingFolder, flat: bool = False) -> tuple[Placement, str]:
-    """The placement of the truth that its readings fit best, and how well, in words, with standard errors.
+    """The placement of the truth that its readings fit best, and how well, in words; or UnusableInput.
 
-    Without a shift in z where `flat`, and where the readings determine it neither to `DETERMINED_M` nor as other than
-    zero. Raises UnusableInput without readings at the times of the truth, and where no placement explains them.
+    Without a shift in z where `flat`, and where readings determine it neither to `DETERMINED_M` nor as other than zero.
     """
     view = next((view for table in KINDS if (view := compared(recording, table)) is not None), None)
     if view is None:

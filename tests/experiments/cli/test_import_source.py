@@ -12,7 +12,7 @@ import pytest
 import trackwright as tw
 from tests.in_process import assert_refused_last, trackwright
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, Similarity, trajectory_of_table, write_trajectory
-from trackwright.trackers.exchange.truth_frame import Placement, found_placement, leaning
+from trackwright.trackers.exchange.truth_frame import found_placement, leaning
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 RIG = 'format = 1\nname = "hall 3"\n[anchors]\nA1 = [0.0, 0.0, 2.0]\nA2 = [6.0, 0.0, 2.5]\n0x0F = [0.0, 5.0, 2.2]\n'
@@ -45,17 +45,6 @@ def test_a_csv_log_and_a_trajectory_become_one_recording(there):
     assert recording.tables["ranges"]["range_m"].is_between(2.0, 5.0).all()
     assert "qw" not in recording.tables["truth"].columns
     assert_refused_last(trackwright("import", "log.csv", *CSV, "--out", "hall"), "has the table ranges already")
-
-
-def test_a_log_of_a_kit_brings_its_anchors(there):
-    line = "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51 111C[5.00,0.00,2.25]=3.18 est[2.57,1.98,1.68,100]"
-    (there / "tag.log").write_text("".join(f"12:00:0{k}.5 {line}\n" for k in range(5)))
-    said = trackwright("import", "tag.log", "--tag", "C5", "--out", "kit")
-    assert said.code == 0, said.err
-    assert "read as dwm1001" in said.err
-    recording = read_recording(there / "kit")
-    assert recording.rig.anchors["0CA8"].tolist() == [0.0, 8.0, 2.25]
-    assert {name: len(table) for name, table in recording.tables.items()} == {"ranges": 15, "fixes": 5}
 
 
 def test_ranges_to_anchors_without_positions_are_imported_for_a_survey_where_the_rig_says_so(there):
@@ -208,14 +197,6 @@ def test_a_height_that_biases_of_ranges_do_not_determine_stays_as_it_is():
     assert "standard errors" in words
 
 
-def test_a_height_that_is_clearly_other_is_brought_over_unless_only_x_and_y_are_asked_for():
-    folder = tw.simulate.ranges(n=1, rows=400, seed=4, hidden=0.0, bias=0.0).folder()
-    truth = folder.tables["truth"].with_columns(pl.col("z_m") - 1.5)
-    higher = replace(folder, tables={**folder.tables, "truth": truth})
-    assert found_placement(higher)[0].z == pytest.approx(1.5, abs=0.1)
-    assert found_placement(higher, flat=True)[0].z == 0.0
-
-
 def test_a_truth_that_leans_is_levelled_by_the_gravity_that_an_imu_measures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = tw.simulate.tool(n=1, rows=300, seed=4).folder()
@@ -233,17 +214,6 @@ def test_a_truth_that_leans_is_levelled_by_the_gravity_that_an_imu_measures(tmp_
     np.testing.assert_allclose(moved.select("x_m", "y_m", "z_m"), truth.select("x_m", "y_m", "z_m"), atol=0.2)
 
 
-def test_what_check_prints_of_a_turned_truth_is_an_option_of_import(foreign):
-    assert trackwright(*TRUTH, "--transform", "0,0,0,0,0.35").code == 0
-    (said,) = (line for line in trackwright("check", "hall").out.splitlines() if "is turned against" in line)
-    option = said.partition("--transform ")[2]
-    Path("hall/truth.parquet").unlink()
-    x, y, z, yaw = option.split(",")
-    assert trackwright(*TRUTH, "--transform", f"{x},{y},{z},{yaw},0.35").code == 0
-    assert _distances(foreign).max() < 0.15
-    assert "turned against" not in trackwright("check", "hall").out
-
-
 def test_the_truth_of_another_walk_fits_no_readings(foreign):
     truth = tw.simulate.ranges(n=1, rows=300, seed=9).folder().tables["truth"]
     write_trajectory(trajectory_of_table(truth, "other"), "mocap.tum")
@@ -251,17 +221,6 @@ def test_the_truth_of_another_walk_fits_no_readings(foreign):
         trackwright(*TRUTH, "--align-truth"), "no turn about z, shift and difference of clocks up to 10 s"
     )
     assert not Path("hall/truth.parquet").exists()
-
-
-def test_fixes_without_a_height_place_a_truth_over_the_floor():
-    folder = tw.simulate.agv(n=1, rows=200, seed=2).folder()
-    truth, fixes = folder.tables["truth"], folder.tables["fixes"].with_columns(z_m=pl.lit(None, pl.Float64))
-    placed = Placement(3.0, -4.0, 0.0, 60.0, 0.0).of_table(truth)
-    found, words = found_placement(replace(folder, tables={"fixes": fixes, "truth": placed}))
-    assert words.partition(";")[0].count(" m") == 2
-    back = found.of_table(placed)
-    for axis, most in (("x_m", 0.2), ("y_m", 0.2), ("z_m", 1e-6)):
-        assert np.abs(back[axis].to_numpy() - truth[axis].to_numpy()).max() < most
 
 
 @pytest.mark.parametrize(

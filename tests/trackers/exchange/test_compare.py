@@ -98,27 +98,6 @@ def test_a_turned_and_shifted_trajectory_is_aligned_to_no_error(align, scale):
     assert found.speed_mps["max"] < 1e-9
 
 
-def test_an_alignment_of_the_origin_puts_the_first_pose_on_the_first_true_pose():
-    spiral, turn = _spiral(), Rotation.from_euler("zyx", (0.8, 0.3, -0.2))
-    for attitude in (None, np.tile([1.0, 0.0, 0.0, 0.0], (len(spiral), 1))):
-        truth = PoseTrajectory(spiral.times, spiral.positions, attitude, "truth")
-        given = None if attitude is None else np.tile(np.roll(turn.as_quat(), 1), (len(truth), 1))
-        moved = PoseTrajectory(truth.times, turn.apply(truth.positions) + [4.0, -1.0, 2.0], given, "own")
-        errors = compare_trajectories(moved, truth, "origin").ape_m
-        assert errors["min"] < 1e-9
-        # Without attitudes nothing is turned.
-        assert (errors["max"] < 1e-9) == (attitude is not None)
-
-
-def test_steps_of_seconds_compare_displacements_over_that_time():
-    truth = _spiral()
-    drifting = truth.positions + np.array([0.1, 0.0, 0.0]) * truth.times[:, None]
-    found = compare_trajectories(PoseTrajectory(truth.times, drifting, None, "own"), truth, rpe=("1s", "2s"))
-    assert found.rpe_m["1s"]["n"] == 19
-    assert found.rpe_m["1s"]["rmse"] == pytest.approx(0.1)
-    assert found.rpe_m["2s"]["rmse"] == pytest.approx(0.2)
-
-
 def test_speed_errors_are_those_of_a_trajectory_that_is_played_too_fast():
     truth = PoseTrajectory(np.arange(100) * 0.1, np.outer(np.arange(100) * 0.1, [1.0, 0.0, 0.0]), None, "truth")
     own = PoseTrajectory(truth.times, 1.2 * truth.positions, None, "own")
