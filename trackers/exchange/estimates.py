@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import polars as pl
 
@@ -14,7 +14,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.exchange.expressions import numbers_of
 from trackwright.trackers.exchange.formats import beginning_of
 from trackwright.trackers.exchange.mapping import refuse_lost_digits
-from trackwright.trackers.exchange.pose_errors import Alignment, TrajectoryErrors, compare_trajectories, step_of
+from trackwright.trackers.exchange.pose_errors import TrajectoryErrors, compare_trajectories, step_of
 from trackwright.trackers.exchange.trajectories import read_trajectory, trajectory_of_table
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.table_file import SUFFIXES, read_table_file
@@ -83,13 +83,7 @@ class ComparedTrack(NamedTuple):
 
 
 def compare_tracks(
-    tracks: pl.DataFrame,
-    truths: Mapping[str, pl.DataFrame],
-    align: Alignment = "none",
-    time_offset: float | Literal["auto"] = 0.0,
-    tolerance: float = 0.01,
-    rpe: Sequence[str] = ("1m", "1s"),
-    all_pairs: bool = False,
+    tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame], *options: Any, **named: Any
 ) -> tuple[pl.DataFrame, list[ComparedTrack]]:
     """The estimates, each track aligned and shifted in time, and the errors of each track that has a truth.
 
@@ -103,11 +97,9 @@ def compare_tracks(
         truth = truths.get(str(recording), none).filter(pl.col("tag").cast(pl.String) == str(tag))
         if truth.is_empty():
             continue
-        own, true = (
-            trajectory_of_table(x, f"{what} of tag {tag} in '{recording}'")
-            for x, what in ((rows, "track"), (truth, "truth"))
-        )
-        errors = compare_trajectories(own, true, align, time_offset, tolerance, rpe, all_pairs)
+        of = f"of tag {tag} in '{recording}'"
+        own, true = trajectory_of_table(rows, f"track {of}"), trajectory_of_table(truth, f"truth {of}")
+        errors = compare_trajectories(own, true, *options, **named)
         moved.append(errors.similarity.table(rows).with_columns(pl.col("t_s") + errors.time_offset))
         compared.append(ComparedTrack(str(recording), str(tag), errors))
     if not compared:

@@ -153,7 +153,7 @@ def _with_missing(
 def read_lines(
     path: Path, text: str, parse: Callable[[str], list[dict[str, Any]]], skip: bool, expected: str
 ) -> tuple[list[dict[str, Any]], list[int], list[str]]:
-    """The rows that `parse` makes of each line, their lines, and notices; where it raises, a line is refused or left."""
+    """The rows that `parse` makes of each line, and their lines; where it raises, the line is refused or left out."""
     rows, lines, bad = list[dict[str, Any]](), list[int](), dict[int, str]()
     for number, line in enumerate(text.split("\n"), 1):
         if line.strip() and not line.startswith("#"):
