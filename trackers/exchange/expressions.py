@@ -52,12 +52,12 @@ class Expression(NamedTuple):
         """Its numbers in the rows of a file, null where empty; raises UnusableInput with the row of a text."""
         if not self.sources:
             raise UnusableInput(f"{self.target}={self.text}: names no column; expected {_FORM}")
-        if _DATE.fullmatch(self.unit) and file.frame[self.sources[0]].dtype == pl.String:
+        if _DATE.fullmatch(self.unit) and file.frame[self.sources[0]].dtype not in (pl.Datetime, pl.Date):
             return _moments(file, self.date_texts(file), " + ".join(self.sources), self.unit)
         total = (frame := pl.DataFrame({f"c{k}": numbers_of(file, s) for k, s in enumerate(self.sources)}))["c0"]
         if self.sql != "c0":
             try:
-                total = frame.select(x=pl.sql_expr(self.sql).cast(pl.Float64))["x"]
+                total = frame.with_columns(x=pl.sql_expr(self.sql).cast(pl.Float64))["x"]
                 lost = frame.select(pl.all_horizontal(pl.all().is_finite()) & pl.lit(~total.is_finite())).to_series()
             except pl.exceptions.PolarsError as error:
                 why = str(error).splitlines()[0]
@@ -66,7 +66,7 @@ class Expression(NamedTuple):
                 where = file.location(first_row(lost.fill_null(False)), " + ".join(self.sources))
                 raise UnusableInput(f"{where}: no number comes of {self.target}={self.text}; expected one in each row")
         total = total - DAYS[self.unit] if self.unit in DAYS else total
-        scale = UNITS[self.target.rpartition("_")[2]][self.unit] if self.unit else 1.0
+        scale = UNITS.get(self.target.rpartition("_")[2], {}).get(self.unit, 1.0)
         return total if scale == 1.0 else total * scale
 
     def date_texts(self, file: TableFile) -> pl.Series:
@@ -79,9 +79,9 @@ class Expression(NamedTuple):
         if self.constant is not None:
             return pl.repeat(self.constant, len(file.frame), dtype=pl.String, eager=True)
         column = file.frame[self.sources[0]]
-        if not (column.dtype.is_integer() or column.dtype in (pl.String, pl.Categorical, pl.Enum)):
-            wrong = f"{self.target} from a column of type {column.dtype}; expected text or whole numbers"
-            raise UnusableInput(f"{file.path}: {wrong}")
+        if self.sql != "c0" or not (column.dtype.is_integer() or column.dtype in (pl.String, pl.Categorical, pl.Enum)):
+            found = f"{self.target}={self.text} of type {column.dtype}"
+            raise UnusableInput(f"{file.path}: {found}; expected a column of text or whole numbers")
         return texts_of(column)
 
 
@@ -92,8 +92,9 @@ def parsed(target: str, text: str, file: TableFile | None = None) -> Expression:
         return Expression(name, text, constant=text[1:-1])
     if (whole := text.strip("`")) in known:
         return Expression(name, text, (whole,))
-    body, unit, sources = *(x.strip() for x in f"{text} in ".split(" in ")[:2]), dict[str, str]()
+    body, unit = re.findall(r"(?s)^(.*?)(?:\s+in\s+(\S+))?$", text)[0]
     unit, units = unit.lower() if {"Y", ":"} & {*unit} else unit, UNITS.get(name.rpartition("_")[2], {})
+    sources: dict[str, str] = {}
     if unit and unit not in units and not ("iso" in units and _DATE.fullmatch(unit)):
         fitting = ", ".join(units) or "none: it has no unit"
         raise UnusableInput(f"{target}: unit {unit!r} does not fit {name}; expected one of {fitting}")

@@ -62,6 +62,7 @@ def estimate_offset(estimate: PoseTrajectory, truth: PoseTrajectory, align: Alig
     First the lag at which horizontal speeds correlate best; then, within 0.5 s of it, the offset of the least distance
     between the aligned estimate and the interpolated truth. Raises UnusableInput where no correlation reaches 0.5.
     """
+    from scipy.optimize import minimize_scalar
     from scipy.signal import correlate, correlation_lags
 
     lasts = [float(t.times[-1] - t.times[0]) for t in (estimate, truth)]
@@ -93,11 +94,8 @@ def estimate_offset(estimate: PoseTrajectory, truth: PoseTrajectory, align: Alig
     # The distance has one minimum near the right offset, but small ripples where poses enter and leave the overlap.
     grid = coarse + np.linspace(-0.5, 0.5, 41)
     best = int(np.argmin([distance(offset) for offset in grid]))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, 40)]
-    while high - low > 1e-4:
-        step = (math.sqrt(5.0) - 1.0) / 2.0 * (high - low)
-        low, high = (low, low + step) if distance(high - step) <= distance(low + step) else (high - step, high)
-    return float(low + high) / 2
+    bounds = (grid[max(best - 1, 0)], grid[min(best + 1, 40)])
+    return float(minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": 5e-5}).x)
 
 
 def _places(poses: PoseTrajectory, times: np.ndarray) -> np.ndarray:
