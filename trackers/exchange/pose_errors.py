@@ -70,11 +70,15 @@ def estimate_offset(estimate: PoseTrajectory, truth: PoseTrajectory, align: Alig
         expected = f"expected 2 to {LONGEST_S:,.0f} s; give --time-offset in seconds"
         raise UnusableInput(f"{estimate.name}: {lasts[0]:.3g} s, and {lasts[1]:.3g} s of truth; {expected}")
     grids = [np.arange(t.times[0], t.times[-1] - WINDOW_S, GRID_S) + WINDOW_S / 2 for t in (estimate, truth)]
-    # Rounding may put the ends of the windows beyond the trajectory's.
+    # Rounding may put the ends of the windows beyond the trajectory's; without means, sums lose fewer digits.
     v, w = (np.nan_to_num(_speeds(t, grid)) for t, grid in zip((estimate, truth), grids, strict=True))
-    n = np.round(correlate(np.ones_like(w), np.ones_like(v), method="fft"))
-    r = correlate(w - w.mean(), v - v.mean(), method="fft") / (np.maximum(n, 1) * max(v.std() * w.std(), 1e-9))
-    r[n < min(len(v), len(w)) / 2] = 0.0
+    v, w, one, true_one = v - v.mean(), w - w.mean(), np.ones_like(v), np.ones_like(w)
+    of = ((one, true_one), (v, true_one), (one, w), (v, w), (v * v, true_one), (one, w * w))
+    n, *sums = (correlate(b, a, method="fft") for a, b in of)
+    mean_v, mean_w, product, square_v, square_w = (each / n for each in sums)
+    variances = (square_v - mean_v**2) * (square_w - mean_w**2)
+    r = (product - mean_v * mean_w) / np.sqrt(np.maximum(variances, 1e-18))
+    r[np.round(n) < min(len(v), len(w)) / 2] = 0.0
     if r.max() < 0.5:
         found = f"{estimate.name}: no time offset fits: speeds correlate with the true ones by {r.max():.2f}"
         raise UnusableInput(f"{found}; expected 0.5 or more, from changes of speed; give --time-offset in seconds")
