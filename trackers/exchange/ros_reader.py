@@ -16,9 +16,13 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.exchange.expressions import sensor_of
-from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, spelled_out
+from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, read_mapping, spelled_out
 from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, size_of
+from trackwright.trackers.recordings.kinds import layout
 from trackwright.trackers.recordings.table_file import TableFile
+
+MESSAGES = Path(__file__).parent / "presets" / "_messages.toml"
+"""The mappings of standard messages, by their type in place of a topic."""
 
 RECEIVED = "received"
 """Field of every message: the time, s, at which the bag received it."""
@@ -27,28 +31,6 @@ LARGEST_BAG = 2**35
 """Bytes of the largest bag: only the messages of the topics asked for are held, at most `LARGEST` bytes."""
 
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-_POSES = {
-    "geometry_msgs/msg/PointStamped": ("point", ""),
-    "geometry_msgs/msg/PoseStamped": ("pose.position", "pose.orientation"),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": ("pose.pose.position", "pose.pose.orientation"),
-    "geometry_msgs/msg/TransformStamped": ("transform.translation", "transform.rotation"),
-    "nav_msgs/msg/Odometry": ("pose.pose.position", "pose.pose.orientation"),
-}
-_STANDARD = {
-    ("sensor_msgs/msg/Imu", "imu"): {
-        "accel_{a}_mps2": "linear_acceleration.{a}", "gyro_{a}_radps": "angular_velocity.{a}",
-    },
-    ("sensor_msgs/msg/Range", "ranges"): {"range_m": "range"},
-    ("nav_msgs/msg/Odometry", "odometry"): {
-        "speed_mps": "twist.twist.linear.x", "yaw_rate_radps": "twist.twist.angular.z",
-    },
-    **{(kind, "fixes"): {"{a}_m": f"{at}.{{a}}"} for kind, (at, _) in _POSES.items()},
-    **{
-        (kind, "truth"): {"{a}_m": f"{at}.{{a}}"} | ({"q{a}": f"{turn}.{{a}}"} if turn else {})
-        for kind, (at, turn) in _POSES.items()
-    },
-}  # fmt: skip
-"""By type of message and table, the fields of each column; {a} stands for an axis."""
 
 
 def rosbags_module(name: str, what: str) -> ModuleType:
@@ -104,12 +86,16 @@ def _columns(reader: Any, path: Path, mapping: TableMapping, connections: Any) -
     topic, (kind, *others) = f"{path}: topic {mapping.topic}", sorted({c.msgtype for c in connections})
     if others:
         raise UnusableInput(f"{topic} has messages of {listed([kind, *others])}; expected one type")
-    paths, standard = list(_paths(reader.typestore.fielddefs, kind)), _STANDARD.get((kind, mapping.table), {})
-    mapping, fields = spelled_out(mapping, paths), listed(paths, 24)
-    if standard:
-        whole = spelled_out(replace(mapping, columns={"t_s": "header.stamp"} | standard), paths).columns
-        given = {sensor_of(target)[0] for target in mapping.columns}
-        mapping = replace(mapping, columns={t: x for t, x in whole.items() if t not in given} | dict(mapping.columns))
+    paths = list(_paths(reader.typestore.fielddefs, kind))
+    mapping, fields, wanted = spelled_out(mapping, paths), listed(paths, 24), layout(mapping.table, ())
+    for one in read_mapping(MESSAGES).tables:
+        if one.topic == kind and one.table in (mapping.table, "truth" if mapping.table == "fixes" else ""):
+            standard = {"t_s": "header.stamp", **spelled_out(one, paths).columns}
+            given = {sensor_of(target)[0] for target in mapping.columns}
+            left = {
+                t: x for t, x in standard.items() if t not in given and t in ("t_s", *wanted.values, *wanted.optional)
+            }
+            mapping = replace(mapping, columns=left | dict(mapping.columns))
     if not mapping.sources:
         fix = f"map its fields, as --columns 'range_m=FIELD'; fields: {fields}"
         raise UnusableInput(f"{topic} has {kind}, no standard message for {mapping.table}; {fix}")
