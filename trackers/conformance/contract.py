@@ -9,11 +9,7 @@ from functools import cached_property, wraps
 from typing import Any, Literal, NamedTuple, ParamSpec
 from unittest import SkipTest
 
-from trackwright.trackers.core.errors import one_line, require
-from trackwright.trackers.core.model.motion import AbstractMotion
-from trackwright.trackers.core.model.sensor import AbstractSensor
-from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.kinds import Kind
+from trackwright.trackers.core.errors import one_line
 
 P = ParamSpec("P")
 
@@ -93,21 +89,3 @@ class Report(tuple[Result, ...]):
 def reported(checks: Callable[P, list[Check]]) -> Callable[P, Report]:
     """A function of the same arguments that runs all checks."""
     return wraps(checks)(lambda *given, **named: Report(one.result for one in checks(*given, **named)))
-
-
-CHECKED: dict[str, Any] = {
-    "check_motion": AbstractMotion,
-    "check_sensor": AbstractSensor,
-    "check_tracker": AbstractTracker,
-    "check_kind": Kind,
-    "check_importer": Callable,
-}
-
-
-def require_part(function: str, given: Any) -> None:
-    """Raises UnusableInput unless the object is one that this check function is for, with the function that is."""
-    of_class = isinstance(given, type)
-    fix = "an object of the class" if of_class else "".join(n for n, one in CHECKED.items() if isinstance(given, one))
-    words = f"an object of {CHECKED[function].__name__}" + f"; usual fix: {fix}" * bool(fix)
-    fits = isinstance(given, CHECKED[function]) and not of_class
-    require(fits, function, given.__name__ if of_class else given, words)
