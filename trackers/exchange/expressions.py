@@ -11,8 +11,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed, near
 from trackwright.trackers.recordings.table_file import TableFile, first_row, remedy
 
-CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}
-"""The unit of times of day; counts of days, with the count at the begin of 1970."""
+CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}  # times of day; days, counted to the begin of 1970
 
 # fmt: off
 UNITS: dict[str, dict[str, float]] = {

@@ -12,16 +12,12 @@ from trackwright.trackers.core.user_file import split_name
 
 
 class Format(NamedTuple):
-    """`words` for its files, the `module` beside this one whose `read_source(path, name, asked)` reads them.
-
-    `endings` of names and `begins`, a pattern in the first lines, tell its files. `has_tables`: the files name theirs.
-    """
+    """`words` for files that `endings` and `begins`, a pattern in the first lines, tell, and the module of a reader."""
 
     words: str
     module: str
     endings: tuple[str, ...] = ()
     begins: str = r"(?!)"
-    has_tables: bool = False
 
 
 _FIRST = r"\A(?:\s*(?:#.*)?\n)*[ \t]*{}[ \t\r]*$"  # the first line that is neither empty nor a comment
@@ -32,9 +28,9 @@ FORMATS: dict[str, Format] = {
     "ros": Format("a ROS bag (.bag, .db3, .mcap, or the folder of a ROS 2 bag)", "ros_reader",
         (".bag", ".mcap", ".db3")),
     "dwm1001": Format("a log of a DWM1001 kit", "kit_logs", (),
-        r"DIST,|POS,|[0-9A-Fa-f]{4}\[-?\d+(?:\.\d+)?,", has_tables=True),
-    "trek1000": Format("a log of a TREK1000 kit", "kit_logs", (), r"m[acr] [0-9a-fA-F]{2} ", has_tables=True),
-    "fira": Format("a log of a kit with FiRa, as DWM3001CDK", "kit_logs", (), r'\{"Block":\s*\d+', has_tables=True),
+        r"DIST,|POS,|[0-9A-Fa-f]{4}\[-?\d+(?:\.\d+)?,"),
+    "trek1000": Format("a log of a TREK1000 kit", "kit_logs", (), r"m[acr] [0-9a-fA-F]{2} "),
+    "fira": Format("a log of a kit with FiRa, as DWM3001CDK", "kit_logs", (), r'\{"Block":\s*\d+'),
     "tum": Format("a TUM trajectory", "trajectories", (".tum",), _FIRST.format(r"[^,\s]+(?:[ \t]+[^,\s]+){7}")),
     "kitti": Format("a KITTI trajectory", "trajectories", (".kitti",), _FIRST.format(r"[^,\s]+(?:[ \t]+[^,\s]+){11}")),
     # EuRoC counts whole nanoseconds.
@@ -85,4 +81,4 @@ def has_tables(name: str) -> bool:
     """Whether files of a format, or of a user's own by `FILE.py:NAME`, say which tables they hold; or UnusableInput."""
     if name not in FORMATS and not split_name(name)[0]:
         raise UnusableInput(f"--format {name}: expected {', '.join(FORMATS)} or FILE.py:NAME{near(name, FORMATS)}")
-    return name not in FORMATS or FORMATS[name].has_tables
+    return name not in FORMATS or FORMATS[name].module == "kit_logs"

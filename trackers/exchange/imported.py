@@ -86,12 +86,7 @@ def import_frames(
     require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
     fits = columns is None or isinstance(columns, Mapping)
     require(fits, "import_frames: columns", columns, "expressions by table, as {'ranges': ['range_m=distance in mm']}")
-    try:
-        source = _of_frames(frames, {table: columns_of(e) for table, e in (columns or {}).items()}, tag, "frame ")
-    except UnusableInput as problem:
-        # In words of Python.
-        text = re.sub(r"; a file without a header: \S+ none|--(?=tag|columns)", "", str(problem))
-        raise UnusableInput(text.replace("tag ID", "tag='ID'")) from None
+    source = _of_frames(frames, {table: columns_of(e) for table, e in (columns or {}).items()}, tag, "frame ")
     tables = source.tables if origin is None else since(source.tables, origin_of(str(origin), source.tables))
     folder = assembled(name, read_rig(Path(rig))[0] if isinstance(rig, (str, Path)) else rig, tables)
     with tempfile.TemporaryDirectory() as scratch:

@@ -18,8 +18,7 @@ from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping
 from trackwright.trackers.exchange.text_tables import BEFORE, read_lines, text_of
 from trackwright.trackers.recordings.table_file import TableFile
 
-Rows = list[tuple[str, dict[str, Any]]]
-"""The rows that a line says, each with its table."""
+Rows = list[tuple[str, dict[str, Any]]]  # the rows that a line says, each with its table
 
 _N = r"(-?\d+(?:\.\d+)?)"
 _ANCHOR = rf"(?:,?AN\d+,|)([0-9A-Fa-f]{{4}})[\[,]{_N},{_N},{_N}(?:\]=|,){_N}\s*"
@@ -60,11 +59,10 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
         before = line[: len(line) - len(body)].strip().removesuffix("dwm>").strip(BEFORE)
         if not any(re.fullmatch(pattern, before) for pattern in _TIMES.values()):
             raise ValueError(f"{before!r} is no time")
-        clock, rows = _KITS[name](body, mapping.tag, path.stem)
-        k = next(number)
-        time = before or (
-            clock if name == "trek1000" else asked.interval and asked.interval * (k if clock is None else clock)
-        )
+        (clock, rows), k = _KITS[name](body, mapping.tag, path.stem), next(number)
+        if name != "trek1000":
+            clock = None if asked.interval is None else asked.interval * (k if clock is None else clock)
+        time = before or (None if clock is None else repr(clock))
         return [{"table": table, "before": before, "row": {"time": time, **row}} for table, row in rows]
 
     text, expected = text_of(path, errors="replace"), f"a time in s, a date or a time of day, and {_LINES[name]}"

@@ -25,9 +25,7 @@ from trackwright.trackers.recordings.table_file import TableFile
 PRESETS = {path.stem: path for path in (Path(__file__).parent / "presets").glob("[!_]*.toml")}
 """The presets by name; the head of each says what it reads, the units and frames, and where anchors come from."""
 
-ORIGIN = "_origin"
-"""The column of a table while it is imported: the number of its part times 2⁴⁰, and of the row there."""
-
+ORIGIN = "_origin"  # column of a table while it is imported: the number of its part times 2⁴⁰, and of the row there
 _HOLE = re.compile(r"\{(\w+)\}")
 
 
@@ -276,7 +274,10 @@ def _complete(
             source = get_close_matches(name.rpartition("_")[0], [c for c in present if c not in known], 1, 0.3)
             example = f"{name}={(source or ['COLUMN'])[0]}" + " in UNIT" * ("_" in name)
             fix = f"add --columns '{example}'; a file without a header: --header none"
-            fix = {"tag": "give --tag ID", "z_m": "add an empty column where no height is measured"}.get(name, fix)
+            fix = {
+                "tag": "give --tag ID (in Python: tag=)",
+                "z_m": "add an empty column where no height is measured",
+            }.get(name, fix)
             found = f"found {listed(map(repr, present), 12)}"
             raise UnusableInput(f"{file.path}: {table} needs {name}, which no column gives; {found}; {fix}")
     if 0 < sum(name in expressions for name in QUATERNION) < 4:

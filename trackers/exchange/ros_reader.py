@@ -21,15 +21,9 @@ from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, size
 from trackwright.trackers.recordings.kinds import layout
 from trackwright.trackers.recordings.table_file import TableFile
 
-MESSAGES = Path(__file__).parent / "presets" / "_messages.toml"
-"""The mappings of standard messages, by their type in place of a topic."""
-
-RECEIVED = "received"
-"""Field of every message: the time, s, at which the bag received it."""
-
-LARGEST_BAG = 2**35
-"""Bytes of the largest bag: only the messages of the topics asked for are held, at most `LARGEST` bytes."""
-
+MESSAGES = Path(__file__).parent / "presets" / "_messages.toml"  # standard ones, by their type in place of a topic
+RECEIVED = "received"  # field of every message: the time, s, at which the bag received it
+LARGEST_BAG = 2**35  # bytes; only the messages of the topics asked for are held, at most `LARGEST` bytes
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
 

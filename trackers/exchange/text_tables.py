@@ -23,8 +23,7 @@ from trackwright.trackers.recordings.input_file import file_bytes, unpacked
 from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file
 
 NUMBER = re.compile(r"\s*[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?\s*")
-BEFORE = " \t,;|:[]->"
-"""What may stand between a time and the content of a line."""
+BEFORE = " \t,;|:[]->"  # what may stand between a time and the content of a line
 _COMMENT = r"^\s*(?:#|%|//)"
 _UNIT_CELLS = {unit for units in UNITS.values() for unit in units} | {"-", "°", "sec", "dbm", "db", "unit", "1", ""}
 _HEADER = "without a header: --header none (columns are column1, column2 …); with one further below: --header LINE"

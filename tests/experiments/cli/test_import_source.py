@@ -61,7 +61,7 @@ def test_ranges_to_anchors_without_positions_are_imported_for_a_survey_where_the
     [
         ("log.csv", CSV, ("ranges: no positions of anchors", "by --rig")),
         ("log.csv", ("--table", "ranges"), ("needs t_s", "found 'stamp', 'id', 'distance'", "--columns")),
-        ("log.csv", ("--table", "fixes", "--columns", "t_s=stamp"), ("fixes needs tag", "'distance'; give --tag ID\n")),
+        ("log.csv", ("--table", "fixes", "--columns", "t_s=stamp"), ("fixes needs tag", "'distance'; give --tag ID")),
         ("log.csv", (), ("no table given", "--table")),
         ("log.csv", ("--columns", "range_m=distance"), ("--columns without --table",)),
         ("log.csv", ("--mapping", "miluv", "--table", "ranges"), ("one or the other",)),
