@@ -232,11 +232,10 @@ def compare_trajectories(
     if not len(rows):
         (first, last), (begin, end) = estimate.times[[0, -1]] + offset, truth.times[[0, -1]]
         apart = np.median(_nearest(truth.times, estimate.times + offset)[1])
-        way = f"a larger --time-tolerance: half of the poses have a true one within {apart:.3g} s"
-        if last < begin or first > end:
-            way = f"a --time-offset: with {round(begin - estimate.times[0], 6):.16g} both begin together"
-        spans = f"estimates from {span(first, last)}, truth from {span(begin, end)}"
-        raise UnusableInput(f"{estimate.name}: no pose lies within {tolerance:g} s of a true pose: {spans}; give {way}")
+        found = f"no pose lies within {tolerance:g} s of a true pose: estimates from {span(first, last)}"
+        begins = f"a --time-offset: with {round(begin - estimate.times[0], 6):.16g} both begin together"
+        fix = f"{begins}; or a larger --time-tolerance: half of the poses have a true one within {apart:.3g} s"
+        raise UnusableInput(f"{estimate.name}: {found}, truth from {span(begin, end)}; give {fix}")
     similarity = alignment(align, estimate.at_rows(rows), truth.at_rows(true_rows))
     aligned = replace(similarity.trajectory(estimate), times=estimate.times + offset)
     planar = not (np.isfinite(estimate.positions).all() and np.isfinite(truth.positions).all())
