@@ -86,6 +86,9 @@ from trackwright.trackers.from_arrays import phase_recording as phase_recording
 from trackwright.trackers.from_arrays import range_recording as range_recording
 from trackwright.trackers.line.tracker import line_grid_tracker as line_grid_tracker
 from trackwright.trackers.line.tracker import line_tracker as line_tracker
+from trackwright.trackers.linear import linear as linear
+from trackwright.trackers.linear import nonlinear as nonlinear
+from trackwright.trackers.linear import series as series
 from trackwright.trackers.mhk.tracker import mhk_tracker as mhk_tracker
 from trackwright.trackers.parts.fixes import FixSensor as FixSensor
 from trackwright.trackers.parts.fixes import fix_trajectories as fix_trajectories
@@ -177,6 +180,9 @@ __all__ = [
     "evaluate",
     "Evaluation",
     # trackers ready to run on arrays
+    "linear",
+    "nonlinear",
+    "series",
     "fix_tracker",
     "singer_tracker",
     "switching_tracker",

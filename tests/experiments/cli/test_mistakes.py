@@ -45,7 +45,7 @@ MISTAKES = [
     ("track {simulated} --tracker beam --out out --set *.sigma_p=-1", "is positive"),
     ("track {fixes} --tracker floor-pf --out out", "floor-pf", "[floor]", "walls_m or outline_m"),
     ("track {fixes} --tracker fix-mirror --out out", "fix-mirror", "at least 3 anchors"),
-    ("track {fixes} --calibration {file} --out out", "no `format`, expected `format = 1`"),
+    ("track {fixes} --calibration {file} --out out", "no format, expected the calibration.toml"),
     ("tune {good} --tracker mhk,imm --out out", "found 2 names; expected one; `track` compares several"),
     ("tune {good} --tracker bearings --out out", "2 different 'bearings' trackers", "free_height"),
     ("tune {simulated} --tracker das --out out", "no noise level of motion or sensors to tune", "no tunable"),
