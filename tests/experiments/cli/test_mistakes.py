@@ -84,7 +84,7 @@ MISTAKES = [
     ("evaluate {tracked} --truth {simulated}", "the tracks are of recording good, the truth is of simulated-hand-0"),
     ("evaluate {tracked} --truth {blind}", "no truth table"),
     (POSES, "names no tag", "T1, T2", "--tag"),
-    (POSES + "--tag T9", "no such tag", "T1, T2"),
+    (POSES + "--tag T9", "the truth has T1, T2", "give one of these", "--tag"),
     (POSES + "--tag T1 --time-offset 900", "no pose lies within", "both begin together"),
     (POSES + "--tag T1 --time-offset -0.17", "half of the poses have a true one within 0.03 s"),
     (POSES + "--tag T1 --rpe 5km", "such as 1m"),
