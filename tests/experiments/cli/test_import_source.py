@@ -259,13 +259,13 @@ def test_a_truth_that_leans_is_levelled_by_the_gravity_that_an_imu_measures(tmp_
 
 def test_what_check_prints_of_a_turned_truth_is_an_option_of_import(foreign):
     assert trackwright(*TRUTH, "--transform", "0,0,0,0,0.35").code == 0
-    (said,) = (line for line in trackwright("check", "hall").out.splitlines() if "is turned against" in line)
+    (said,) = (line for line in trackwright("check", "hall").out.splitlines() if "another origin or axes" in line)
     option = said.partition("--transform ")[2]
     Path("hall/truth.parquet").unlink()
     x, y, z, yaw = option.split(",")
     assert trackwright(*TRUTH, "--transform", f"{x},{y},{z},{yaw},0.35").code == 0
     assert _distances(foreign).max() < 0.15
-    assert "turned against" not in trackwright("check", "hall").out
+    assert "another origin or axes" not in trackwright("check", "hall").out
 
 
 def test_the_truth_of_another_walk_fits_no_readings(foreign):
