@@ -19,7 +19,7 @@ from trackwright.experiments.text.wording import figures_drawn
 from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, metric_names, rows_of
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
-from trackwright.trackers.recordings.checks.units import check_units
+from trackwright.trackers.recordings.checks.rules import check_units
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks_table import (
     EVALUATION,

@@ -108,7 +108,7 @@ def test_estimates_in_millimetres_and_a_height_that_is_known_exactly_are_scored(
     words = "evaluate", tmp_path / "own.csv", "--truth", beginnings / "good", "--tag", "T1"
     said = trackwright(*words)
     assert said.code == 0, said.err
-    assert "m: looks like millimetres" in said.err
+    assert "looks like centimetres or millimetres" in said.err
     assert "millimetres" not in trackwright(*words, "--align", "sim3").err
 
 
