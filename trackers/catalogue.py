@@ -238,6 +238,30 @@ def fitting(folder: RecordingFolder) -> str:
     )
 
 
+def tracked_by(
+    folders: Sequence[RecordingFolder], names: Sequence[str] = ()
+) -> tuple[dict[str, list[RecordingFolder]], list[str]]:
+    """The recordings of each of the named trackers, by default of the one that fits each; and lines on the others.
+
+    A line for each recording that a tracker does not fit; raises UnusableInput where nothing can be run.
+    """
+    runs: dict[str, list[RecordingFolder]] = {name: [] for name in names}
+    refused: list[str] = []
+    for name in names:
+        lines = [(folder, spec_of(name).refusal(folder, name)) for folder in folders]
+        runs[name] = [folder for folder, line in lines if line is None]
+        refused += [line for _, line in lines if line is not None]
+    for folder in () if names else folders:
+        try:
+            runs.setdefault(fitting(folder), []).append(folder)
+        except UnusableInput as problem:
+            refused.append(str(problem))
+    runs = {name: of for name, of in runs.items() if of}
+    if not runs:
+        raise UnusableInput(refused[0])
+    return runs, refused
+
+
 def spec_of(name: str) -> TrackerSpec:
     """The entry of a tracker by its name in the catalogue, or a user's own by `FILE.py:NAME`; raises UnusableInput."""
     if not isinstance(name, str):

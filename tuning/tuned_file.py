@@ -129,3 +129,30 @@ def parse_values(texts: Sequence[str], option: str) -> dict[str, Any]:
             raise UnusableInput(f"{option} {name}: is given twice; expected it once; remove one")
         by_name[name] = np.asarray(values if "," in numbers else values[0])
     return by_name
+
+
+FORM = "PATTERN=START:STOP:COUNT, as 'motion.sigma_a=0.01:1:100', with ':log' at the end for equal ratios"
+
+
+def parse_grids(texts: Sequence[str], option: str) -> dict[str, np.ndarray]:
+    """Grids by tunable or pattern of one or two texts such as `motion.sigma_a=0.01:1:100:log`.
+
+    Raises UnusableInput, naming the option.
+    """
+    grids: dict[str, np.ndarray] = {}
+    for text in texts:
+        pattern, _, span = text.rpartition("=")
+        log, where = span.endswith(":log"), f"{option} {text}: expected"
+        numbers = span.removesuffix(":log").split(":")
+        try:
+            start, stop, count = (kind(x) for kind, x in zip((float, float, int), numbers, strict=True))
+        except ValueError as error:
+            raise UnusableInput(f"{where} {FORM}") from error
+        if not pattern or not -np.inf < start < stop < np.inf or count < 2:
+            raise UnusableInput(f"{where} {FORM}, START below STOP and COUNT at least 2")
+        if log and start <= 0:
+            raise UnusableInput(f"{where} START above zero for equal ratios")
+        grids[pattern] = (np.geomspace if log else np.linspace)(start, stop, int(count))
+    if not len(grids) == len(texts) <= 2:
+        raise UnusableInput(f"{option} given {len(texts)} times: expected once, or twice for different patterns")
+    return grids

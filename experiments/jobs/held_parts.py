@@ -16,7 +16,7 @@ import numpy as np
 
 from trackwright.experiments.jobs.executors import computed
 from trackwright.experiments.jobs.portable import file_of, spec_here
-from trackwright.experiments.jobs.run import finished
+from trackwright.experiments.jobs.store import finished
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write

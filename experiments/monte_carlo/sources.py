@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from trackwright.experiments.jobs.portable import Files, copied
-from trackwright.experiments.monte_carlo.chunk_store import first_difference, identity
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
+from trackwright.experiments.monte_carlo.store import first_difference, identity
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.core.user_file import fault_of, run_file, split_name

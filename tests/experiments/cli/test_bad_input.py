@@ -13,7 +13,7 @@ import pytest
 from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import good_tables, write_good
 from tests.in_process import PLAIN, assert_refused, trackwright
-from trackwright.experiments.cli import tuning_job as tune_command
+from trackwright.experiments.cli import tuning as tune_command
 from trackwright.tuning.checkpoint import save
 
 

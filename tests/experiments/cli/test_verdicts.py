@@ -14,7 +14,7 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import trackwright
-from trackwright.experiments.cli.tuning_folder import table
+from trackwright.experiments.cli.tuning import table
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from trackwright.tuning.data import fit_data

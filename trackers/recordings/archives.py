@@ -1,7 +1,8 @@
-"""The recordings of an archive: folders of folders, at any depth."""
+"""The recordings of an archive, folders of folders at any depth, and the digests of their content."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,18 +13,8 @@ from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.table_file import SUFFIXES
 
 MANY = 60  # the most recordings that are tracked together: as many as a page shows
-
-
 RECORDINGS, RESULTS = "recordings", "results.csv"
-"""In the output folder of an archive: the folder of the finished recordings, and the table of results.
-
-The table has a row for each recording and tracker, and one for each refusal.
-"""
-
-
-def is_archive(out: Path) -> bool:
-    """Whether `track` wrote an archive into this folder."""
-    return (out / RESULTS).is_file() and (out / RECORDINGS).is_dir()
+"""In the output folder of an archive: the folder of the finished recordings, and the table of results."""
 
 
 def archive_of(paths: Sequence[Path], keep_going: bool) -> list[Path] | None:
@@ -44,7 +35,7 @@ def recordings_under(path: Path) -> list[Path]:
         path, onerror=lambda error: recordings.append(Path(error.filename)), followlinks=True
     ):
         real = os.path.realpath(root)
-        if real in seen or any(name == RIG_FILE or is_table(name) for name in files):
+        if real in seen or any(map(_is_part, files)):
             folders.clear()
             if real not in seen:
                 recordings.append(Path(root))
@@ -53,7 +44,18 @@ def recordings_under(path: Path) -> list[Path]:
     return sorted(recordings) or [path]
 
 
-def is_table(name: str) -> bool:
-    """Whether a file of this name is a table of a recording."""
+def _is_part(name: str) -> bool:
+    """Whether a file of this name is a rig.toml or a table of a recording."""
     stem, _, suffix = name.partition(".")
-    return stem in table_kinds() and f".{suffix}" in SUFFIXES
+    return name == RIG_FILE or (stem in table_kinds() and f".{suffix}" in SUFFIXES)
+
+
+def content_of(path: Path) -> str:
+    """A digest of the rig.toml and the tables of a recording, and of the names beside them; raises OSError."""
+    digest = hashlib.sha256()
+    for entry in sorted(path.iterdir()):
+        digest.update(os.fsencode(entry.name) + b"\0")
+        if entry.is_file() and _is_part(entry.name):
+            with entry.open("rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()
