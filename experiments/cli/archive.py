@@ -22,30 +22,20 @@ import numpy as np
 import polars as pl
 
 import trackwright as tw
+from trackwright.experiments.cli import tracking as runs
 from trackwright.experiments.cli.console import LEFT_OUT, Run, faults, output_folder, ready
-from trackwright.experiments.cli.options import TrackOptions
-from trackwright.experiments.cli.tracking import (
-    named_runs,
-    page_of,
-    print_metrics,
-    scored,
-    short,
-    tracked,
-    words_of,
-    write_shown,
-)  # fmt: skip
+from trackwright.experiments.cli.options import TrackOptions, config
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import Threads, cluster_executor
 from trackwright.experiments.jobs.portable import file_of, spec_here
 from trackwright.experiments.jobs.store import Store
 from trackwright.experiments.jobs.store import run as run_parts
 from trackwright.experiments.pages.scored_tracks import drawn_of
-from trackwright.experiments.text.evaluation_text import archive_text, content, to_json
+from trackwright.experiments.text.evaluation_text import archive_text, to_json
 from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.catalogue import fitting, spec_of
 from trackwright.trackers.core.errors import has_control, one_line
-from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.events import EVENTS
 from trackwright.trackers.evaluation.metrics import RESIDUALS, added, metrics, sums
@@ -88,7 +78,7 @@ class Tracking:
     @classmethod
     def of(cls, options: TrackOptions, paths: Sequence[Path]) -> Tracking:
         """The options as they travel; raises UnusableInput for unknown trackers and an unreadable calibration."""
-        texts = tuple((name, file_of(name)) for name in named_runs(options) if spec_of(name))
+        texts = tuple((name, file_of(name)) for name in runs.named_runs(options) if spec_of(name))
         names: dict[Path, str] = {}
         for path in paths:
             with suppress(tw.UnusableInput):
@@ -122,11 +112,11 @@ class Tracking:
         result = Result(notices=[*map(one_line, (*lines, *more))])
         for name in [name for name, _ in self.names] or [fitting(folder)]:
             try:
-                found = tracked(self.named(name, folder), [folder], self.options, _silent)
+                found = runs.tracked(self.named(name, folder), [folder], self.options, _silent)
             except tw.UnusableInput as problem:
                 result.refused.append(_naming(folder.path, problem))
                 continue
-            evaluation, rows, own = found.evaluation, found.rows, short(name)
+            evaluation, rows, own = found.evaluation, found.rows, runs.short(name)
             (of_recording,) = evaluation.recordings
             summary = {"tracker": name, "short": own, "endings": found.tracks.summaries, "recording": folder.name}
             totals = sums(rows).row(0, named=True) | {ratio: of_recording[ratio] for ratio in RESIDUALS}
@@ -155,7 +145,7 @@ class Finished(Store[Path, Result, Result]):
     def _settings(self) -> dict[str, Any]:
         """All that the outcome of a recording depends on, beside its content."""
         options, calibration = self.tracking.options, self.tracking.options.used.calibration
-        return options.config("tracker", "noise", "cluster", "keep_going") | {
+        return config(options, "tracker", "noise", "cluster", "keep_going") | {
             "trackers": self.tracking.names,
             "noise": None if options.tuned is None else options.tuned.values,
             "calibration": None if calibration is None else calibration.read_text("utf-8"),
@@ -229,12 +219,12 @@ def track_archive(paths: Sequence[Path], options: TrackOptions, run: Run) -> int
         run.begin("tables")
         results = options.out / RESULTS
         atomic_write(results, _results([(path, found[path]) for path in paths]).write_csv)
-        runs: dict[str, list[tuple[Path, Summary]]] = {}
+        by_tracker: dict[str, list[tuple[Path, Summary]]] = {}
         for path in paths:
             for summary in found[path].outcomes:
-                runs.setdefault(summary["short"], []).append((path, summary))
-        for name, of in runs.items():
-            out = options.out if len(runs) == 1 else output_folder(options.out / name)
+                by_tracker.setdefault(summary["short"], []).append((path, summary))
+        for name, of in by_tracker.items():
+            out = options.out if len(by_tracker) == 1 else output_folder(options.out / name)
             _write_run(name, sorted(of, key=lambda one: str(one[1]["recording"])), out, store, run)
     print(f"wrote {results}, a row for each recording and tracker")
     if noticed := sum(bool(result.notices and result.outcomes) for result in found.values()):
@@ -281,29 +271,30 @@ def _write_run(name: str, of: Sequence[tuple[Path, Summary]], out: Path, store: 
     for table in (TRACKS, EVENTS):
         atomic_write(out / table, partial(rows(table).sink_parquet, compression_level=1))
     endings = sum((Counter(x["endings"]) for x in summaries), Counter[str]())
-    print(f"{name}: {counted(endings.total(), 'track')} of {counted(len(of), 'recording')}: {words_of(endings)}")
-    print_metrics(evaluation, lambda: archive_text(evaluation, terminal_width()), options)
-    run.put({name: content(evaluation)})
-    shown = [] if options.figures == "none" else _show(of, evaluation, out, store.tracking, run)
-    config = options.config("cluster", "force", "keep_going", "set_") | {"set": options.numbers.values}
-    tracker = {"tracker": summaries[0]["tracker"]}
-    run.write_manifest(out, config | tracker, chunk=CHUNK, recordings=len(of), verdicts=endings)
-    estimates = counted(pl.scan_parquet(out / TRACKS).select(pl.len()).collect().item(), "estimate")
-    print(f"wrote {', '.join([f'{out / TRACKS} ({estimates})', EVENTS, EVALUATION, *shown, 'manifest.json'])}")
+    print(f"{name}: {counted(endings.total(), 'track')} of {counted(len(of), 'recording')}: {runs.words_of(endings)}")
+    rows_written = pl.scan_parquet(out / TRACKS).select(pl.len()).collect().item()
+    about, tracker = {"recordings": len(of), "verdicts": endings}, summaries[0]["tracker"]
+    text, show = (
+        partial(archive_text, evaluation, terminal_width()),
+        partial(_show, of, evaluation, out, store.tracking, run),
+    )
+    runs.end_run(tracker, evaluation, text, show, rows_written, about, options, out, run)
 
 
 def _show(
     of: Sequence[tuple[Path, Summary]], evaluation: tw.Evaluation, out: Path, tracking: Tracking, run: Run
 ) -> list[str]:
     """Writes the page and the figures of a few recordings, tracked again; in words, what was written."""
+    if tracking.options.figures == "none":
+        return []
     rmse = [metrics["rmse_direction_rad" if evaluation.bearing else "rmse_m"] for metrics in evaluation.recordings]
     chosen = [of[k][0] for k in drawn_of(np.array(rmse, float), evaluation.bearing)]
     folders = [ready(tracking.read(path), tracking.options.used, tracking.calibration)[0] for path in chosen]
     named = tracking.named(of[0][1]["tracker"], folders)
-    found = tracked(named, folders, tracking.options, run.begin)
+    found = runs.tracked(named, folders, tracking.options, run.begin)
     statements = {"statements": evaluation.statements} if evaluation.overall["n"] else {}
-    page = page_of(found, found.evaluation, 1, False) | {"recordingCount": len(of)} | statements
-    return write_shown(scored(found), [page], tracking.options, out, run)
+    page = runs.page_of(found, found.evaluation, 1, False) | {"recordingCount": len(of)} | statements
+    return runs.write_shown(runs.scored(found), [page], tracking.options, out, run)
 
 
 def _list_refused(lines: Sequence[str], where: str) -> None:

@@ -15,16 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import (
-    UNSET,
-    App,
-    CoercionError,
-    CycloptsError,
-    Group,
-    Parameter,
-    Token,
-    convert,
-)
+from cyclopts import UNSET, App, CoercionError, CycloptsError, Group, Parameter, Token, convert
 
 from trackwright.trackers.core.errors import UnusableInput
 

@@ -41,10 +41,6 @@ class Run:
         """Seconds since the beginning."""
         return (datetime.now(UTC) - self.started).total_seconds()
 
-    def write_manifest(self, out: Path, config: Mapping[str, Any], **more: Any) -> None:
-        """Writes `manifest.json` of this run."""
-        write_manifest(out, config, self.started, **more)
-
 
 @contextmanager
 def running(what: str, json: bool) -> Iterator[Run]:

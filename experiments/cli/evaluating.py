@@ -20,15 +20,8 @@ from trackwright.trackers.evaluation.conditions import condition_of, violation
 from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, metric_names, rows_of
 from trackwright.trackers.recordings.archives import RESULTS
 from trackwright.trackers.recordings.atomic import held, json_text, write_whole
-from trackwright.trackers.recordings.checks.units import check_units
 from trackwright.trackers.recordings.folder import RecordingFolder, read_truth
-from trackwright.trackers.recordings.tracks_table import (
-    EVALUATION,
-    SOURCES,
-    TRACKS,
-    read_tracks,
-    source_paths,
-)
+from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks, source_paths
 
 COMPARISON = "comparison.html"  # the page that compares runs
 
@@ -129,64 +122,24 @@ def print_comparison(
 def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions) -> int:
     """Evaluates a file of estimates or a folder of `track`; prints the errors, and writes them with `--out`."""
     from trackwright.experiments.pages.reports.evaluate_text import pose_errors_text
-    from trackwright.trackers.exchange import estimates as files
+    from trackwright.trackers.exchange.estimates import pooled_names
+    from trackwright.trackers.exchange.pose_evaluation import STEPS, Poses
 
-    part, poses, tag, name = options.used.part, options.poses, None, None
-    align, offset, steps = poses.align or "none", poses.time_offset, poses.rpe or ("1m", "1s")
-    if source.is_dir():
-        tracks = part.of_estimates(read_tracks(source))
-        followed = tracks.select("recording", "tag").unique()
-        if len(followed) == 1:
-            name, tag = followed.row(0)
-    elif len(part.tags) > 1:
-        raise UnusableInput(f"--tag {' '.join(part.tags)}: a file of estimates follows one tag; expected one")
-    else:
-        tag = next(iter(part.tags), None)
-    folders = _read_truth(truth, tag, name)
-    truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
-    if not truths:
-        raise UnusableInput(f"{truth[0]}: no truth table; expected a recording with truth, or a trajectory file")
-    if source.is_file():
-        read, lines = files.read_estimates(source)
-        tracks = part.of_estimates(files.assigned(read, truths, tag, source))
-        # Of a truth in a file, there is no geometry beside which estimates may be large.
-        for folder in (folder for folder in folders if folder.rig.places() and align == "none"):
-            own = {"fixes": tracks.filter(pl.col("recording") == folder.name)}
-            lines = (*lines, *(result.message for result in check_units(folder.rig, own)))
-        notices(f"{source}: {line}" for line in lines)
+    given, align, steps = options.poses, options.poses.align or "none", options.poses.rpe or STEPS
+    tolerance = 0.01 if given.time_tolerance is None else given.time_tolerance
+    poses = Poses.read(source, truth, options.used.part, align == "none", lambda line: notices([line]))
     if options.fail_if is not None:
-        condition_of(options.fail_if, [*metric_names(tracks), *files.pooled_names(steps)])
-    tolerance = 0.01 if poses.time_tolerance is None else poses.time_tolerance
-    moved, compared = files.compare_tracks(tracks, truths, align, offset, tolerance, steps, poses.all_pairs)
-    evaluation = evaluate(moved, folders)
-    evaluation = dataclasses.replace(evaluation, overall=evaluation.overall | files.pooled(compared))
+        condition_of(options.fail_if, [*metric_names(poses.tracks), *pooled_names(steps)])
+    moved, compared, evaluation = poses.compared(align, given.time_offset, tolerance, steps, given.all_pairs)
     errors = {"poses": {"align": align, "tracks": [track.to_dict() for track in compared]}}
     text, width = json_text(content(evaluation) | errors), terminal_width()
-    shown = f"{to_text(evaluation, width)}\n{pose_errors_text(compared, align, width, offset == 'auto')}"
+    shown = f"{to_text(evaluation, width)}\n{pose_errors_text(compared, align, width, given.time_offset == 'auto')}"
     print(text if options.json else shown, end="")
-    if poses.out is not None:
-        written = _write(output_folder(poses.out), text, evaluation, moved, folders, str(source))
+    if given.out is not None:
+        written = _write(output_folder(given.out), text, evaluation, moved, poses.folders, str(source))
         if not options.json:
             print(written)
     return code_of(evaluation, options.fail_if)
-
-
-def _read_truth(paths: Sequence[Path], tag: str | None, name: str | None) -> list[RecordingFolder]:
-    """The recordings, or a trajectory file as the truth of a tag and a recording, where they are known."""
-    if not paths:
-        raise UnusableInput("no --truth; expected recording folders, or a trajectory file: --truth FOLDER|FILE")
-    for path in paths:
-        if not path.exists():
-            raise UnusableInput(f"--truth {path}: does not exist; expected a recording folder, or a trajectory file")
-    if all(path.is_dir() for path in paths):
-        return prepared(paths, Readings(), check=False)
-    if len(paths) > 1:
-        raise UnusableInput(f"--truth {paths[0]} and others; expected one trajectory file, or recording folders")
-    from trackwright.trackers.exchange.estimates import read_truth
-
-    folder = read_truth(paths[0], tag or "1")
-    notices(f"{paths[0]}: {line}" for line in folder.notices)
-    return [folder if name is None else dataclasses.replace(folder, name=name)]
 
 
 def _write(

@@ -93,7 +93,9 @@ def config(options: Any, *without: str) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for one in fields(options):
         value = getattr(options, one.name)
-        if is_dataclass(value):
+        if isinstance(value, Readings):
+            flat |= {"part": asdict(value.part), "calibration": value.calibration, "average": value.average}
+        elif is_dataclass(value):
             flat |= config(value, *without)
         elif one.name not in {"out", "figures", "json", *without}:
             flat[one.name.rstrip("_")] = value
@@ -212,11 +214,6 @@ class WithNumbers:
         if self.tuned is not None:
             named = self.tuned.of(named, self.file)
         return named.with_values(self.numbers.values, "--set") if self.numbers.values else named
-
-    def config(self, *without: str) -> dict[str, Any]:
-        """The options as a manifest holds them."""
-        part = {"part": asdict(self.used.part)}
-        return config(self, "tag", "from_", "to", *without) | part
 
 
 @OPTIONS

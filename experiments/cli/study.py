@@ -37,7 +37,7 @@ def study(
         list: list the studies that come with the package.
         figures: page, report.html; png or pdf, also its charts as files; or none.
     """
-    from trackwright.experiments.cli.console import keep_programs, running
+    from trackwright.experiments.cli.console import keep_programs, running, write_manifest
     from trackwright.experiments.jobs.executors import cluster_executor
     from trackwright.experiments.monte_carlo.declaration import checked
     from trackwright.experiments.monte_carlo.runner import StopRule, run_study
@@ -93,6 +93,6 @@ def study(
         page = pages.study_page(results, expected, sys.argv)
         written.insert(0, write_page(folder / pages.REPORT, page).name)
     config = {"study": declared.name, "runs": declared.runs}
-    run.write_manifest(folder, config, seeds=[declared.seed], chunk=declared.chunk)
+    write_manifest(folder, config, run.started, seeds=[declared.seed], chunk=declared.chunk)
     print(f"wrote {', '.join([str(folder / written[0]), *written[1:]])}")
     return 0

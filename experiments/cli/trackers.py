@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from trackwright.experiments.cli.commands import rows
 from trackwright.experiments.cli.options import Readings, Tracker, run_tracker_files
 from trackwright.trackers.catalogue import ENTRIES
 from trackwright.trackers.core.errors import UnusableInput
-
-if TYPE_CHECKING:
-    from trackwright.trackers.recordings.named_tracker import NamedTracker
 
 
 def trackers(tracker: Tracker | None = None, folder: Path | None = None, /, *, json: bool = False) -> int:
@@ -50,40 +46,20 @@ def trackers(tracker: Tracker | None = None, folder: Path | None = None, /, *, j
     # jax takes a second to import, which the help and a refused recording need not wait for.
     from trackwright.sim.examples import example_for
     from trackwright.trackers.catalogue import build, spec_of
+    from trackwright.tuning.parameters import described
 
     recording = folders[0] if folders else example_for(spec_of(tracker))
     if recording is None:
         raise UnusableInput(f"trackers {tracker}: no simulated recording has what it reads; give a recording FOLDER")
-    tunables = _tunables(build(tracker, recording))
+    tunables = described(build(tracker, recording))
     if json:
-        print(json_text({"tracker": tracker, "recording": recording.name, "tunables": tunables}))
+        plain = [{name: one[name] for name in one if name != "text"} for one in tunables]
+        print(json_text({"tracker": tracker, "recording": recording.name, "tunables": plain}))
         return 0
     if not folders:
         notice(f"values: of the simulated recording {recording.name}; give a recording FOLDER for its own")
     print(_table(tunables, terminal_width()), end="")
     return 0
-
-
-def _tunables(named: NamedTracker) -> list[dict[str, Any]]:
-    import numpy as np
-
-    from trackwright.trackers.core.model.tunable import meanings
-    from trackwright.tuning.parameters import noise_levels
-
-    sentences, fitted = meanings(named.tracker), tuple[str, ...]()
-    with suppress(UnusableInput):
-        fitted = tuple(noise_levels(named.tracker))
-    return [
-        {
-            "name": name,
-            "value": np.asarray(node.value, float).tolist(),
-            "unit": node.unit,
-            "bounds": node.bounds,
-            "fitted_by_default": name in fitted,
-            "meaning": sentences[name],
-        }
-        for name, node in named.tunables.items()
-    ]
 
 
 def _table(tunables: list[dict[str, Any]], width: int) -> str:
@@ -93,7 +69,7 @@ def _table(tunables: list[dict[str, Any]], width: int) -> str:
     cells = [("tunable", "value", "unit", "bounds")]
     for one in tunables:
         star, unit = "*" if one["fitted_by_default"] else "", "" if one["unit"] == "1" else one["unit"]
-        cells.append((one["name"] + star, _short(one["value"]), unit, one["bounds"]))
+        cells.append((one["name"] + star, one["text"], unit, one["bounds"]))
     head, *lines = aligned(cells).splitlines()
     text = [head]
     for line, one, following in zip(lines, tunables, [*tunables[1:], {"meaning": None}], strict=True):
@@ -101,14 +77,3 @@ def _table(tunables: list[dict[str, Any]], width: int) -> str:
         if following["meaning"] != one["meaning"] and one["meaning"]:
             text += textwrap.wrap(one["meaning"], width, initial_indent="    ", subsequent_indent="    ")
     return "\n".join(text) + "\n"
-
-
-def _short(value: Any) -> str:
-    """A number, a few, or their count and span."""
-    import numpy as np
-
-    numbers = np.ravel(value)
-    if numbers.size <= 3:
-        return ", ".join(f"{number:.4g}" for number in numbers)
-    low, high = numbers.min(), numbers.max()
-    return f"{' x '.join(map(str, np.shape(value)))}: {low:.4g}" + (f" to {high:.4g}" if high > low else "")

@@ -7,14 +7,22 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
 import trackwright as tw
-from trackwright.experiments.cli.console import LEFT_OUT, Run, notice_unused_calibration, notices, output_folder
-from trackwright.experiments.cli.options import TrackOptions, file_format
+from trackwright.experiments.cli.console import (
+    LEFT_OUT,
+    Run,
+    notice_unused_calibration,
+    notices,
+    output_folder,
+    write_manifest,
+)  # fmt: skip
+from trackwright.experiments.cli.options import TrackOptions, config, file_format
 from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.text.evaluation_text import content, to_json, to_text
@@ -182,39 +190,29 @@ def _track(
         write_whole(output_folder(out) / file, rows)
     whose = "" if out == options.out else f"{short(name)}: "
     print(f"{whose}{counted(sum(endings.values()), 'track')}: {words_of(endings)}")
-    print_metrics(evaluation, lambda: to_text(evaluation, terminal_width()) if of == 1 else "", options)
-    run.put({short(name): content(evaluation)})
-    pages, drawn = list[dict[str, Any]](), list[str]()
-    if options.figures != "none":
-        run.begin("report")
-        files = of == 1 and file_format(options.figures) is not None
-        pages = [page_of(found, evaluation, of, files)]
-    if of == 1:
-        drawn = write_shown(scored(found), pages, options, out, run)
-    config = options.config("cluster", "force", "keep_going", "set_")
-    paths = [str(folder.path) for folder in folders]
-    run.write_manifest(
-        out,
-        config | {"tracker": name, "set": options.numbers.values},
-        chunk=CHUNK,
-        recordings=paths,
-        verdicts=endings,
-        fitted=found.fits,
-    )
-    for event, count in found.events.group_by("event", maintain_order=True).len().iter_rows():
-        print(f"event: {event} ({counted(count, 'time')})")
-    estimates = f"{out / TRACKS} ({counted(len(found.rows), 'estimate')})"
-    print(f"wrote {', '.join([estimates, EVENTS, EVALUATION, 'manifest.json', *drawn])}")
+    pages = list[dict[str, Any]]()
+
+    def show() -> list[str]:
+        if options.figures != "none":
+            run.begin("report")
+            pages.append(page_of(found, evaluation, of, of == 1 and file_format(options.figures) is not None))
+        drawn = write_shown(scored(found), pages, options, out, run) if of == 1 else []
+        for event, count in found.events.group_by("event", maintain_order=True).len().iter_rows():
+            print(f"event: {event} ({counted(count, 'time')})")
+        return drawn
+
+    about = {"recordings": [str(folder.path) for folder in folders], "verdicts": endings, "fitted": found.fits}
+    text = partial(to_text, evaluation, terminal_width()) if of == 1 else str
+    end_run(name, evaluation, text, show, len(found.rows), about, options, out, run)
     return pages
 
 
-def words_of(endings: Mapping[str, int]) -> str:
-    """How many tracks ended how, the most first."""
-    return "; ".join(f"{n} {words}" for words, n in sorted(endings.items(), key=lambda x: -x[1]))
-
-
-def print_metrics(evaluation: tw.Evaluation, text: Callable[[], str], options: TrackOptions) -> None:
-    """Prints the metrics as this text, or without truth what innovations show; a notice where levels seem wrong."""
+def end_run(
+    name: str, evaluation: tw.Evaluation, text: Callable[[], str], show: Callable[[], list[str]], rows: int,
+    about: Mapping[str, Any], options: TrackOptions, out: Path, run: Run,
+) -> None:  # fmt: skip
+    """Prints the metrics of a tracker as `text`, or without truth what innovations show; what `show` draws is written,
+    and the manifest, with what is `about` the run. A notice where noise levels seem wrong."""
     if evaluation.overall["n"]:
         print(text(), end="")
     else:
@@ -222,6 +220,17 @@ def print_metrics(evaluation: tw.Evaluation, text: Callable[[], str], options: T
             print(f"Without truth: {uncapitalised(sentence)}")
     if not options.fit and (wrong := level_caution(evaluation.overall)):
         notice(f"notice: innovations are {wrong}; --fit fits noise levels to the readings")
+    run.put({short(name): content(evaluation)})
+    drawn = show()
+    used = config(options, "cluster", "force", "keep_going", "set_") | {"tracker": name, "set": options.numbers.values}
+    write_manifest(out, used, run.started, chunk=CHUNK, **about)
+    written = [f"{out / TRACKS} ({counted(rows, 'estimate')})", EVENTS, EVALUATION, "manifest.json", *drawn]
+    print(f"wrote {', '.join(written)}")
+
+
+def words_of(endings: Mapping[str, int]) -> str:
+    """How many tracks ended how, the most first."""
+    return "; ".join(f"{n} {words}" for words, n in sorted(endings.items(), key=lambda x: -x[1]))
 
 
 def scored(found: Tracked) -> ScoredTracks:

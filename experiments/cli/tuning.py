@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import shlex
-import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -17,52 +16,30 @@ import numpy as np
 import polars as pl
 
 import trackwright as tw
-from trackwright.experiments.cli.console import Run, notice_unused_calibration, notices, output_folder, prepared, ready
-from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, file_format
+from trackwright.experiments.cli import console
+from trackwright.experiments.cli.console import Run, notices, output_folder, prepared, ready, write_manifest
+from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, config, file_format
 from trackwright.experiments.pages.charts.style import write_charts
 from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart, sweep_plot
-from trackwright.experiments.pages.reports.before_after import (
-    MOST_PLANS,
-    Compared,
-    TrackChanges,
-    compare,
-    track_changes,
-    tracked,
-    with_truth,
-)  # fmt: skip
+from trackwright.experiments.pages.reports import before_after as changes
+from trackwright.experiments.pages.reports import tuning as pages
 from trackwright.experiments.pages.reports.pages import write_page
-from trackwright.experiments.pages.reports.tuning import (
-    collect,
-    recording_names,
-    traces_of,
-    tuned_parameters,
-    tuning_page,
-)  # fmt: skip
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Advance, notice
 from trackwright.trackers.catalogue import fitting, spec_of
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.evaluation.cautions import mirror_cautions
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.folder import refuse_repeated
 from trackwright.trackers.recordings.input_file import identity
-from trackwright.tuning import checkpoint
+from trackwright.tuning import parameters as numbers
 from trackwright.tuning.calibrating import cross_fitted
 from trackwright.tuning.data import FitData, data_in_turn, fit_data
-from trackwright.tuning.fitting import Place, fit
+from trackwright.tuning.fitting import Place
 from trackwright.tuning.identifiability import cautions, identifiability_issues
 from trackwright.tuning.intervals import Interval, intervals_of, left_out_estimates, with_fitted, without_intervals
+from trackwright.tuning.kept_fit import checked_bounds, kept_fit
 from trackwright.tuning.optimisation import FitState
-from trackwright.tuning.parameters import (
-    Parameter,
-    component_names,
-    flatten,
-    parse_bounds,
-    require_start_within,
-    select_parameters,
-    tuned_by_default,
-)  # fmt: skip
 from trackwright.tuning.parts import Keep, LocalParts
 from trackwright.tuning.problem import is_stochastic
 from trackwright.tuning.sweeping import grid_vectors, swept_parameters
@@ -72,7 +49,6 @@ from trackwright.tuning.tuned_file import tuned_content
 if TYPE_CHECKING:
     from trackwright.experiments.jobs.held_parts import FitWorkers
 
-PARTS = ".tune-parts"  # the folder of the rows, within the results', while a command with a cluster runs
 INTERRUPTED = 130  # the exit code of a command that Ctrl-C ended, as shells have it
 
 
@@ -98,10 +74,10 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], paths: Sequence[Path], o
         parts, lines = cross_fitted(folders, calibration)
         notices(lines)
         count, folders = sum(map(len, parts[:count])), [part for of_folder in parts for part in of_folder]
-    with fit_workers(options.cluster, options.out) as workers:
+    with _workers(options) as workers:
         fitted = fit_folders(folders, paths, count, options, run, workers)
         run.begin("leaving out recordings")
-        before = tracked(fitted.named, fitted.shown)
+        before = changes.tracked(fitted.named, fitted.shown)
         compared = judged(fitted, before)
         run.begin("report")
         content = _write_run(fitted, paths[: len(paths) - len(options.held_out)], run, compared, before)
@@ -112,13 +88,21 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], paths: Sequence[Path], o
     return int(options.check and compared.verdict.word == "worse")
 
 
+def _workers(options: TuneOptions) -> AbstractContextManager[FitWorkers | None]:
+    if options.cluster is None:
+        return nullcontext()
+    from trackwright.experiments.jobs.held_parts import fit_workers
+
+    return fit_workers(options.cluster, output_folder(options.out))
+
+
 def tracker_for_folders(folders: Sequence[tw.RecordingFolder], options: WithNumbers) -> tw.NamedTracker:
     """The tracker, named, of the options' file or chosen by the tables, with the values of the file and of `--set`."""
-    name, numbers = options.named or fitting(folders[0]), options.numbers
-    if numbers.tracker is None:
+    name, given = options.named or fitting(folders[0]), options.numbers
+    if given.tracker is None:
         notice(f"tracker: {name}{f', by {options.file}' if options.named else ''}; choose another with --tracker")
-    named = tw.build(name, folders, numbers.free_height, numbers.side)
-    notice_unused_calibration(folders, name, named.spec.table)
+    named = tw.build(name, folders, given.free_height, given.side)
+    console.notice_unused_calibration(folders, name, named.spec.table)
     return options.valued(named)
 
 
@@ -141,14 +125,15 @@ def fit_folders(
         rest = (folder for path in paths[1:] for folder in prepared([path], options.used))
         data = data_in_turn(named, chain(folders, rest), count, workers.folder, goal, *how)
         keep = partial(HeldParts, workers, named)
-    tune = options.tune or tuned_by_default(data.tracker, data.objective.needs_truth)
+    tune = options.tune or numbers.tuned_by_default(data.tracker, data.objective.needs_truth)
     options = replace(options, numbers=replace(options.numbers, tracker=named.name), objective=data.named, tune=tune)
-    parameters, bounds = checked_options(data, tune, options)
+    bounds = checked_bounds(data, tune, options.freeze, options.bound)
+    parameters = numbers.select_parameters(data.tracker, tune, options.freeze)
     notices(cautions(data.tracker, parameters, data.objective))
-    result = _fit(data, parameters, options, bounds, run, by_default, keep)
+    result = _fit(data, options, bounds, run, by_default, keep)
     reported, known = data, list(folders)
     if workers is not None:
-        names = recording_names(data.training)[:MOST_PLANS]
+        names = pages.recording_names(data.training)[: changes.MOST_PLANS]
         training = [segment for segment in data.training if segment.folder.name in names]
         reported, calibration = replace(data, training=training, stacked=True), options.used.read_calibration()
         places = {segment.folder.path: None for segment in (*training, *data.held_out)}
@@ -158,123 +143,67 @@ def fit_folders(
     return Fitted(options, named, data, result, reported, shown, others)
 
 
-def checked_options(
-    data: FitData, tune: Sequence[str], options: TuneOptions
-) -> tuple[list[Parameter], dict[str, tuple[float, float]]]:
-    """Parameters and bounds of the options; raises UnusableInput where the tracker's tunables don't fit."""
-    option = f"--tune {' '.join(tune)}" + (f" --freeze {' '.join(options.freeze)}" if options.freeze else "")
-    try:
-        parameters = select_parameters(data.tracker, tune, options.freeze)
-        option = f"--bound {' '.join(options.bound)}"
-        bounds = parse_bounds(options.bound)
-        require_start_within(parameters, bounds)
-    except ValueError as error:
-        raise tw.UnusableInput(f"{option}: {error}") from error
-    return parameters, bounds
-
-
-@contextmanager
-def fit_workers(cluster: str | None, out: Path) -> Iterator[FitWorkers | None]:
-    """The workers of a cluster with the folder of their files, emptied first; None for no cluster."""
-    if cluster is None:
-        yield None
-        return
-    from trackwright.experiments.jobs.executors import cluster_client
-    from trackwright.experiments.jobs.held_parts import FitWorkers
-
-    folder = output_folder(out) / PARTS
-    shutil.rmtree(folder, ignore_errors=True)
-    try:
-        with cluster_client(cluster) as (client, expected):
-            yield FitWorkers(client, expected, output_folder(folder))
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        with suppress(OSError):
-            out.rmdir()  # if nothing was written
-
-
 def _fit(
-    data: FitData, parameters: Sequence[Parameter], options: TuneOptions, bounds: Mapping[str, tuple[float, float]],
-    run: Run, by_default: bool, keep: Keep,
+    data: FitData, options: TuneOptions, bounds: Mapping[str, tuple[float, float]], run: Run, by_default: bool,
+    keep: Keep,
 ) -> tw.FitResult:  # fmt: skip
-    """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite.
-    `by_default`: whether the objective was chosen by the data. `keep`: takes the rows to where they are computed."""
-    training, out, steps = data.batches(), output_folder(options.out), options.steps
-    fingerprint = checkpoint.fingerprint(
-        # The place where a fit is computed does not change it.
-        options.config("resume", "cluster", "check"),
-        [*training, *data.batches(held_out=True)],
-        flatten(select_parameters(data.tracker, "*", thresholds=True)),
-    )
-    saved = checkpoint.load(out, fingerprint) if options.resume else None
-    if options.resume and saved is None:
-        notice(f"notice: {out}: no checkpoint found; the fit starts from the beginning")
+    """The fit, with a checkpoint after every step. `by_default`: whether the objective was chosen by the data."""
     if by_default:
         why = "truth" if data.objective.needs_truth else "no truth that the estimates can be judged by"
         notice(f"objective: {data.named}, since there is {why}; choose another with --objective")
     if data.unused:
         notice(f"notice: without truth, and not used: {listed(data.unused)}")
-    tuned = {name for parameter in parameters for name in parameter.names}
-    kept = [name for name in tunables(data.tracker) if name not in tuned]
-    run.begin("searching for starts" if options.starts > 1 else "first evaluation")
-    advance: Advance | None = None
+    steps, advance = options.steps, list[Advance]()
 
-    def keep_step(state: FitState) -> None:
-        """Saves the state and advances the bar of the steps, which begins after the first evaluation."""
-        nonlocal advance
-        checkpoint.save(out, checkpoint.to_arrays(state), fingerprint)
-        best, number = int(state.best_scores.argmin()), int(state.number)
-        done, advance = (1, advance) if advance else (number, run.begin("step", steps))
-        advance(done, f"objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g}")
+    def report(state: FitState) -> None:
+        """Advances the bar of the steps, which begins after the first evaluation."""
+        best, done = int(state.best_scores.argmin()), 1 if advance else int(state.number)
+        advance.extend([] if advance else [run.begin("step", steps)])
+        advance[0](done, f"objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g}")
 
+    optimiser = {"auto": None, "lbfgs": tw.LBFGS(), "adam": tw.Adam(steps)}[options.optimiser]
     how = tw.FitOptions(
         frozen=options.freeze,
         bounds=bounds,
-        optimiser={"auto": None, "lbfgs": tw.LBFGS(), "adam": tw.Adam(steps)}[options.optimiser],
+        optimiser=optimiser,
         steps=steps,
         starts=options.starts,
         prior=options.prior,
-        guesses=[tw.tuning.first_guess(data.tracker, training, kept)] if options.starts > 1 and saved is None else [],
     )
-    place = Place(keep=keep, resume=saved, report=keep_step, stage=run.begin)
-    try:
-        result = fit(data.tracker, data, data.objective, options.tune, how, place)
-    except FloatingPointError as error:
-        raise tw.UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
-    if result.n_excluded == len(data.training):
-        words = "has finite gradients: repeated identical readings drive the noise to zero; give --bound"
-        raise tw.UnusableInput(f"at the best point ({options.objective} {result.value:.4g}) no segment {words}")
-    if result.n_excluded:
-        why = "non-finite likelihood, or gradients over 1000 x the median"
-        notice(f"notice: {result.n_excluded} of {len(data.training)} segments were excluded: {why}")
-    return result
+    run.begin("searching for starts" if options.starts > 1 else "first evaluation")
+    # The place where a fit is computed does not change it.
+    depends, place = config(options, "resume", "cluster", "check"), Place(keep=keep, report=report, stage=run.begin)
+    out, say = output_folder(options.out), lambda line: notices([line])
+    return kept_fit(data, options.tune or (), how, place, out, depends, options.resume, say)
 
 
-def judged(fitted: Fitted, before: pl.DataFrame) -> Compared:
+def judged(fitted: Fitted, before: pl.DataFrame) -> changes.Compared:
     """The recordings shown, `before` the fit and with values fitted without them, and the verdict."""
     result, data, shown = fitted.result, fitted.data, fitted.shown
     table, about = left_out_estimates(result, data, fitted.named, shown, before)
     why_not = "" if about else "the fit cannot leave a recording or a block of time out"
     if result.uncertainty is None:
         why_not = "the fit was interrupted"
-    count = len(recording_names(data.training))
+    count = len(pages.recording_names(data.training))
     part = f"{len(shown)} of {count} " if len(shown) < count else ""
     about = "held-out recordings" if data.held_out else f"{part}recording{'s' if count > 1 else ''} tuned on{about}"
-    return compare((before, with_truth(table, shown)), shown, data.dimensions, about, why_not)
+    return changes.compare((before, changes.with_truth(table, shown)), shown, data.dimensions, about, why_not)
 
 
-def _plans(fitted: Fitted, before: pl.DataFrame) -> TrackChanges:
+def _plans(fitted: Fitted, before: pl.DataFrame) -> changes.TrackChanges:
     """The tracks with the values before and after the fit, of the recordings shown and of some others."""
-    others = fitted.others[: max(MOST_PLANS - len(fitted.shown), 0)]
+    others = fitted.others[: max(changes.MOST_PLANS - len(fitted.shown), 0)]
     held_out = {folder.name for folder in fitted.shown} if fitted.data.held_out else set()
     if others:
-        before = pl.concat([before, tracked(fitted.named, others)], how="diagonal")
+        before = pl.concat([before, changes.tracked(fitted.named, others)], how="diagonal")
     folders = [*fitted.shown, *others]
-    return track_changes(before, tracked(with_fitted(fitted.named, fitted.result), folders), folders, held_out)
+    return changes.track_changes(
+        before, changes.tracked(with_fitted(fitted.named, fitted.result), folders), folders, held_out
+    )
 
 
 def _write_run(
-    fitted: Fitted, recordings: Sequence[Path], run: Run, compared: Compared, before: pl.DataFrame
+    fitted: Fitted, recordings: Sequence[Path], run: Run, compared: changes.Compared, before: pl.DataFrame
 ) -> dict[str, Any]:
     """Writes all files, prints what they show, and returns the content of tuned.toml."""
     options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
@@ -297,10 +226,10 @@ def _write_run(
     written = ["trace.csv", *drawn, "manifest.json"]
     if options.figures != "none":
         written.insert(0, "report.html")
-        known = collect(result, fitted.reported, objective, intervals, issues)
+        known = pages.collect(result, fitted.reported, objective, intervals, issues)
         known = replace(
             known,
-            training=recording_names(data.training),
+            training=pages.recording_names(data.training),
             commands=(use, shlex.join(["trackwright", *sys.argv[1:]])),
             tracker=name,
             tracker_about=spec_of(name).about,
@@ -310,9 +239,11 @@ def _write_run(
             cautions=tuple(lines),
             notes=(*_notes(data, result, fitted.reported), *known.notes),
         )
-        write_page(out / "report.html", tuning_page(known))
-    config = options.config("resume", "check")
-    run.write_manifest(out, config, recordings=[str(path) for path in recordings], filter_runs=result.filter_runs)
+        write_page(out / "report.html", pages.tuning_page(known))
+    about = config(options, "resume", "check")
+    write_manifest(
+        out, about, run.started, recordings=[str(path) for path in recordings], filter_runs=result.filter_runs
+    )
     print(table(result, objective, intervals))
     for text in (*(issue.text for issue in issues), *lines):
         print(f"notice: {text}")
@@ -323,7 +254,7 @@ def _write_run(
 
 def _notes(data: FitData, result: tw.FitResult, reported: FitData) -> Iterator[str]:
     if len(reported.training) < len(data.training):
-        shown, total = (len(recording_names(part.training)) for part in (reported, data))
+        shown, total = (len(pages.recording_names(part.training)) for part in (reported, data))
         yield f"Of the recordings tuned on, {shown} of {total} are shown."
     if result.uncertainty is None:
         yield "The fit was interrupted: the values are the best so far; --resume continues it."
@@ -333,7 +264,7 @@ def _notes(data: FitData, result: tw.FitResult, reported: FitData) -> Iterator[s
 
 def _write_trace(out: Path, result: tw.FitResult, objective: str, unit: str, figure: str | None) -> list[str]:
     """Writes the table of the steps and, where asked for, its figures; returns the names of these."""
-    traces, names = traces_of(result), component_names(result.parameters)
+    traces, names = pages.traces_of(result), numbers.component_names(result.parameters)
     columns = {objective: traces[0].objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
     columns |= dict(zip(names, traces[0].values.T, strict=True))
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
@@ -348,7 +279,7 @@ def _write_trace(out: Path, result: tw.FitResult, objective: str, unit: str, fig
 def table(result: tw.FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:
     """A table of the tuned parameters, and a line on the objective before and after."""
     rows = [("tunable", "before", "after", "95 % interval", "unit")]
-    for p in tuned_parameters(result, intervals):
+    for p in pages.tuned_parameters(result, intervals):
         interval = f"{p.low:.4g} to {p.high:.4g}" if np.isfinite(p.low) else "-"
         rows.append((p.name, f"{p.before:.4g}", f"{p.after:.4g}", interval, "" if p.unit == "1" else p.unit))
     return f"{aligned(rows)}\n{objective}: {result.start_value:.5g} -> {result.value:.5g}"
@@ -379,8 +310,8 @@ def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, 
     sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective)
     result = {"best": swept.best, "least": float(swept.mean[swept.best_index]), "filter_runs": swept.filter_runs}
     result["seconds"] = run.seconds
-    config = options.config() | {"tracker": named.name}
-    run.write_manifest(out, config, recordings=[str(folder.path) for folder in folders], **result)
+    about = config(options) | {"tracker": named.name}
+    write_manifest(out, about, run.started, recordings=[str(folder.path) for folder in folders], **result)
     print(swept.text(objective, unit if objective == "rmse" else ""))
     print(f"{swept.filter_runs} trajectories filtered in {run.seconds:.1f} s")
     print(f"wrote {out / 'sweep.csv'}, {drawn.name} and manifest.json")
