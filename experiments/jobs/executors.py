@@ -17,7 +17,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from queue import SimpleQueue
 from typing import Any
 
 from trackwright.experiments.jobs.environment import environment, require_same
@@ -40,7 +39,7 @@ SILENT_S = 60
 
 class Threads(ThreadPoolExecutor):
     """As many threads of this process as the host computes in parallel; `at_once`: parts that they are given at a time.
-    `devices`: each part is computed on one of these that computes no other; none: where jax would."""
+    `devices`: each thread computes on one of these; none: where jax would."""
 
     def __init__(self, devices: Sequence[Any] = ()) -> None:
         import jax
@@ -48,23 +47,9 @@ class Threads(ThreadPoolExecutor):
         from trackwright.trackers.core.run.chunks import n_workers
 
         threads = n_workers() * len(devices) // jax.local_device_count() if devices else n_workers()
-        super().__init__(threads)
-        self.at_once, self.free = 2 * threads, SimpleQueue[Any]()
-        for _, device in zip(range(threads), itertools.cycle(devices or [None]), strict=False):
-            self.free.put(device)
-
-    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        return super().submit(self._on_a_device, function, *args, **kwargs)
-
-    def _on_a_device(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        import jax
-
-        device = self.free.get()
-        try:
-            with jax.default_device(device):
-                return function(*args, **kwargs)
-        finally:
-            self.free.put(device)
+        free = itertools.cycle(devices or [None])
+        super().__init__(threads, initializer=lambda: jax.default_device(next(free)).__enter__())
+        self.at_once = 2 * threads
 
 
 @contextmanager
