@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import time
+from typing import Any
 
 import numpy as np
 
