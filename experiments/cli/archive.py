@@ -39,6 +39,7 @@ from trackwright.trackers.core.errors import has_control, one_line
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.events import EVENTS
 from trackwright.trackers.evaluation.metrics import RESIDUALS, added, metrics, sums
+from trackwright.trackers.evaluation.scored_run import silent
 from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, content_of
 from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, held, json_text, write_whole
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
@@ -112,7 +113,7 @@ class Tracking:
         result = Result(notices=[*map(one_line, (*lines, *more))])
         for name in [name for name, _ in self.names] or [fitting(folder)]:
             try:
-                found = runs.tracked(self.named(name, folder), [folder], self.options, _silent)
+                found, fits = runs.tracked(self.named(name, folder), [folder], self.options, silent)
             except tw.UnusableInput as problem:
                 result.refused.append(_naming(folder.path, problem))
                 continue
@@ -124,14 +125,10 @@ class Tracking:
             result.outcomes.append(summary | {"bearing": evaluation.bearing} | parts)
             errors = rows.filter(pl.col("why").is_null()).select("^(size_.*|nees|nees_3d)$")
             result.files.update(
-                {f"{own}/{file}": x for file, x in (found.files(evaluation) | {ERRORS: errors}).items()}
+                {f"{own}/{file}": x for file, x in (runs.files_of(found, evaluation) | {ERRORS: errors}).items()}
             )
-            result.notices.extend(map(one_line, (*found.fits, *found.notices)))
+            result.notices.extend(map(one_line, (*fits, *found.notices)))
         return result
-
-
-def _silent(name: str, total: int | None = None) -> Any:
-    return lambda done, now="": None
 
 
 @dataclass(frozen=True)
@@ -291,7 +288,7 @@ def _show(
     chosen = [of[k][0] for k in drawn_of(np.array(rmse, float), evaluation.bearing)]
     folders = [ready(tracking.read(path), tracking.options.used, tracking.calibration)[0] for path in chosen]
     named = tracking.named(of[0][1]["tracker"], folders)
-    found = runs.tracked(named, folders, tracking.options, run.begin)
+    found, _ = runs.tracked(named, folders, tracking.options, run.begin)
     statements = {"statements": evaluation.statements} if evaluation.overall["n"] else {}
     page = runs.page_of(found, found.evaluation, 1, False) | {"recordingCount": len(of)} | statements
     return runs.write_shown(runs.scored(found), [page], tracking.options, out, run)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Readings, Recording, Tracker, require_new, run_tracker_files
+from trackwright.experiments.cli.options import File, Readings, Recording, Tracker
 from trackwright.trackers.core.errors import printable
 
 Names = Annotated[str, Parameter(metavar="A1,A2,…")]
@@ -27,12 +27,13 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
         tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
         json: print JSON instead of lines: by folder, the results with level, where and message.
     """
+    from trackwright.trackers.catalogue import run_files
     from trackwright.trackers.recordings.atomic import json_text
     from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
     from trackwright.trackers.recordings.folder import read_recording
 
-    run_tracker_files(tracker)
+    run_files(tracker)
     failed, by_folder = False, {}
     for path in recordings:
         results = check_recording(read_recording(path))
@@ -57,6 +58,8 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
         force: replace a file that exists, and take recordings in spite of the errors that `trackwright check` finds.
         json: print the content of that file as JSON instead of tables.
     """
+    from trackwright.trackers.recordings.archives import require_new
+
     require_new(out, "calibration.toml", force)
     from trackwright.experiments.cli.console import output_folder, prepared, running
 
@@ -102,6 +105,8 @@ def survey(
         force: replace a file that exists, and take ranges in spite of the errors that `trackwright check` finds.
         json: print positions, delays, intervals and verdicts as JSON instead of a table.
     """
+    from trackwright.trackers.recordings.archives import require_new
+
     require_new(out, "rig.toml", force)
     from trackwright.experiments.cli.console import faults, notices, output_folder, running
     from trackwright.trackers.recordings.folder import read_recording, refuse_repeated

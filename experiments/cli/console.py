@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 import sys
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass, field
@@ -13,16 +12,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trackwright.experiments.cli.options import Readings, require_output
+from trackwright.experiments.cli.options import Readings
 from trackwright.experiments.text.terminal import Begin, notice, stages
 from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.recordings.archives import require_output
 from trackwright.trackers.recordings.atomic import config_hash, json_text, write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
 from trackwright.trackers.recordings.kinds import KINDS
 
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.calibration import Calibration
-    from trackwright.tuning.tuned_file import Tuned
 
 LEFT_OUT = 3
 """The exit code where recordings were left out, and the others done."""
@@ -78,17 +77,9 @@ def write_manifest(out: Path, config: Mapping[str, Any], started: datetime, **mo
 
 def keep_programs() -> None:
     """Keeps compiled programs for later commands; a notice where that is impossible."""
-    from trackwright.trackers.programs import traced_programs
-    from trackwright.trackers.programs.program_cache import cache_programs, store_in_use
+    from trackwright.trackers.programs.keeping import keep_programs
 
-    # A program that jax cannot load is compiled and replaced.
-    warnings.filterwarnings("ignore", message="Error reading persistent compilation cache entry")
-    try:
-        cache_programs(report=lambda text: notice(f"notice: {text}"))
-    except UnusableInput as problem:
-        notice(f"notice: {problem}")
-    if (store := store_in_use()) is not None:
-        traced_programs.use(store)
+    keep_programs(lambda line: notices([line]))
 
 
 def output_folder(path: Path) -> Path:
@@ -159,19 +150,6 @@ def prepared(
             notice(f"not tracked: {line}")
         raise UnusableInput(refused[0])
     return folders
-
-
-def notice_other_calibration(noise: Path | None, tuned: Tuned, given: Path | None) -> None:
-    """A notice where the file `noise` was fitted with a calibration, or without, and another, or none, is `given`."""
-    from trackwright.trackers.recordings.input_file import identity
-
-    fitted, begin = tuned.calibration, f"notice: {noise}: fitted to recordings with"
-    # A file that names no tracker was not written by `tune`.
-    if fitted is None and given is not None and tuned.tracker is not None:
-        notice(f"{begin}out a calibration, and {given} is given; leave --calibration out, or tune again")
-    elif fitted is not None and (given is None or identity(given)["fingerprint"] != fitted["fingerprint"]):
-        name, now = fitted["name"], "none is given" if given is None else f"{given} is another"
-        notice(f"{begin} the calibration {name} ({fitted['fingerprint']}), and {now}; give it, or tune again")
 
 
 def notice_unused_calibration(folders: Sequence[RecordingFolder], tracker: str, table: str) -> None:

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from trackwright.trackers.core.errors import UnusableInput, has_control
-
 if TYPE_CHECKING:
     import numpy as np
 
@@ -20,35 +18,6 @@ if TYPE_CHECKING:
     from trackwright.trackers.recordings.named_tracker import NamedTracker
     from trackwright.trackers.recordings.selection import Selection
     from trackwright.tuning.tuned_file import Tuned
-
-
-def require_output(path: Path) -> None:
-    """Raises UnusableInput for a folder that takes no results: a recording, a file, or the root of the file system."""
-    why = ""
-    if path.resolve() == Path(path.resolve().anchor):
-        why = "is the root of the file system"
-    elif has_control(str(path)):
-        why = "has a control character or bytes that are no UTF-8"
-    elif path.is_file():
-        why = "is a file"
-    elif (path / "rig.toml").exists():
-        # polars takes a while to import, which a command without such a folder need not wait for.
-        from trackwright.trackers.recordings.kinds import table_kinds
-        from trackwright.trackers.recordings.table_file import SUFFIXES
-
-        if any((path / f"{table}{suffix}").exists() for table in table_kinds() for suffix in SUFFIXES):
-            why = "is a recording folder"
-    if why:
-        raise UnusableInput(f"--out {path}: {why}; expected a folder for results; choose another folder")
-
-
-def require_new(out: Path, name: str, force: bool) -> None:
-    """Raises UnusableInput for a file that is no .toml, as `name`, or that exists and is not to be replaced."""
-    if out.suffix != ".toml" or out.is_dir():
-        raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give {name} in a folder")
-    if out.exists() and not force:
-        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
-    require_output(out.parent)
 
 
 def _number(low: float, high: float = math.inf, words: str = "") -> Callable[[Any, Any], None]:
@@ -61,8 +30,15 @@ def _number(low: float, high: float = math.inf, words: str = "") -> Callable[[An
     return check
 
 
+def _output(_: Any, path: Path | None) -> None:
+    from trackwright.trackers.recordings.archives import require_output
+
+    if path is not None:
+        require_output(path)
+
+
 Folder = Annotated[Path, Parameter(metavar="FOLDER")]
-Out = Annotated[Path, Parameter(metavar="FOLDER", validator=lambda _, path: path and require_output(path))]
+Out = Annotated[Path, Parameter(metavar="FOLDER", validator=_output)]
 Recording = Annotated[Path, Parameter(required=True)]
 """One of the positional folders, of which a command needs one at least."""
 
@@ -206,7 +182,9 @@ class WithNumbers:
 
     def read(self) -> None:
         """Raises UnusableInput for values and files that cannot be read, before anything else is."""
-        run_tracker_files(self.named)
+        from trackwright.trackers.catalogue import run_files
+
+        run_files(self.named)
         _ = self.numbers.values
 
     def valued(self, named: NamedTracker) -> NamedTracker:
@@ -376,13 +354,3 @@ class EvaluateOptions:
 def file_format(figures: Figures) -> Literal["png", "pdf"] | None:
     """The kind of the figures in files, None for none."""
     return figures if figures == "png" or figures == "pdf" else None
-
-
-def run_tracker_files(trackers: str | None) -> None:
-    """Runs the users' files among trackers, separated by commas: they may add the kinds of the recordings' tables."""
-    from trackwright.trackers.catalogue import spec_of
-    from trackwright.trackers.core.user_file import split_name
-
-    for name in (trackers or "").split(","):
-        if Path(split_name(name)[0]).is_file():
-            spec_of(name)

@@ -15,12 +15,12 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
     Args:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
     """
-    from trackwright.experiments.cli.console import keep_programs, notice_other_calibration, prepared, running
+    from trackwright.experiments.cli.console import keep_programs, notices, prepared, running
     from trackwright.trackers.recordings.archives import archive_of
 
     options.read()
-    if options.tuned is not None:
-        notice_other_calibration(options.noise, options.tuned, options.used.calibration)
+    if options.noise is not None and options.tuned is not None:
+        notices(filter(None, [options.tuned.other_calibration(options.noise, options.used.calibration)]))
     with running("track", options.json) as run:
         run.begin("reading")
         archive = archive_of(recordings, options.keep_going or options.cluster is not None)

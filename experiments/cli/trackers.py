@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from trackwright.experiments.cli.commands import rows
-from trackwright.experiments.cli.options import Readings, Tracker, run_tracker_files
-from trackwright.trackers.catalogue import ENTRIES
+from trackwright.experiments.cli.options import Readings, Tracker
+from trackwright.trackers.catalogue import ENTRIES, run_files
 from trackwright.trackers.core.errors import UnusableInput
 
 
@@ -41,7 +41,7 @@ def trackers(tracker: Tracker | None = None, folder: Path | None = None, /, *, j
     from trackwright.experiments.text.tables import terminal_width
     from trackwright.experiments.text.terminal import notice
 
-    run_tracker_files(tracker)
+    run_files(tracker)
     folders = [] if folder is None else prepared((folder,), Readings(), check=False)
     # jax takes a second to import, which the help and a refused recording need not wait for.
     from trackwright.sim.examples import example_for

@@ -6,12 +6,9 @@ import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-import polars as pl
 
 import trackwright as tw
 from trackwright.experiments.cli.console import (
@@ -29,44 +26,19 @@ from trackwright.experiments.text.evaluation_text import content, to_json, to_te
 from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
-from trackwright.trackers.catalogue import spec_of, tracked_by
+from trackwright.trackers.catalogue import several, spec_of, tracked_by
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.cautions import late_readings, level_caution, mirrored_heights
-from trackwright.trackers.evaluation.evaluate import truths_of
-from trackwright.trackers.evaluation.events import EVENTS, events_of
-from trackwright.trackers.evaluation.residuals import residual_ratios
-from trackwright.trackers.evaluation.rows import is_scored, refuse_without_overlap, scored_rows
+from trackwright.trackers.evaluation.cautions import level_caution
+from trackwright.trackers.evaluation.events import EVENTS
+from trackwright.trackers.evaluation.scored_run import ScoredRun
 from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.recordings.archives import RESULTS
 from trackwright.trackers.recordings.atomic import Content, write_whole
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS
 from trackwright.trackers.recordings.trajectories import known_height
-
-
-@dataclass(frozen=True)
-class Tracked:
-    """What one tracker found in recordings: `tracks` and their `events`, the scored `rows`, a line for each fit."""
-
-    named: tw.NamedTracker
-    folders: Sequence[tw.RecordingFolder]
-    tracks: tw.Tracks
-    events: pl.DataFrame
-    rows: pl.DataFrame
-    fits: list[str]
-    notices: list[str]
-
-    @property
-    def evaluation(self) -> tw.Evaluation:
-        """The metrics."""
-        return tw.Evaluation.of(self.rows, residual_ratios(self.tracks))
-
-    def files(self, evaluation: tw.Evaluation) -> dict[str, Content]:
-        """The files of a run folder."""
-        paths = "".join(f"{folder.path.resolve()}\n" for folder in self.folders if folder.path is not None)
-        return {TRACKS: self.tracks.table, EVENTS: self.events, SOURCES: paths, EVALUATION: to_json(evaluation)}
 
 
 def short(tracker: str) -> str:
@@ -76,53 +48,36 @@ def short(tracker: str) -> str:
 
 def named_runs(options: TrackOptions) -> list[str]:
     """The trackers that options name, none for those that fit; raises UnusableInput for a repeated one."""
-    trackers = options.named
-    names = [] if trackers is None else [name.strip() for name in trackers.split(",")]
-    shorts = [short(name) for name in names]
-    repeated = next((name for k, name in enumerate(shorts) if name in shorts[:k]), None)
-    if "" in names:
-        raise tw.UnusableInput(f"--tracker {trackers}: a name is empty; expected names with commas, without blanks")
-    if repeated is not None:
-        raise tw.UnusableInput(f"--tracker {trackers}: '{repeated}' twice; expected different names; remove one")
+    names = [*several(options.named).values()]
     if len(names) > 1 and options.noise is not None:
-        raise tw.UnusableInput(f"--noise {options.noise}: belongs to one tracker, found {trackers}; name one of them")
+        found = options.named
+        raise tw.UnusableInput(f"--noise {options.noise}: belongs to one tracker, found {found}; name one of them")
     return names
+
+
+def files_of(found: ScoredRun, evaluation: tw.Evaluation) -> dict[str, Content]:
+    """The files of a run folder."""
+    paths = "".join(f"{folder.path.resolve()}\n" for folder in found.folders if folder.path is not None)
+    return {TRACKS: found.tracks.table, EVENTS: found.events, SOURCES: paths, EVALUATION: to_json(evaluation)}
 
 
 def tracked(
     named: tw.NamedTracker, folders: Sequence[tw.RecordingFolder], options: TrackOptions, begin: Begin
-) -> Tracked:
-    """Runs a tracker on recordings, valued, fitted and smoothed as options ask for, and scores its estimates."""
+) -> tuple[ScoredRun, list[str]]:
+    """Runs a tracker on recordings, valued, fitted and smoothed as options ask for; and a line for each fit."""
     named, fits = options.valued(named), list[str]()
     parts: list[tuple[tw.NamedTracker, Sequence[tw.RecordingFolder]]] = [(named, folders)]
     if options.fit:
-        from trackwright.tuning.own_levels import fitted
-
         parts, advance = [], begin("fitting", len(folders))
         for folder in folders:
-            own = fitted(named, folder)
+            own = tw.fitted(named, folder)
             parts.append((own.tracker, [folder]))
             fits.append(own.line)
             advance(1)
     if options.smooth or options.lag is not None:
         parts = [(one.smoothing(options.lag), of) for one, of in parts]
-    batches = [batch for one, of in parts for batch in one.batches(of)]
     give_back()
-    advance = begin("tracking", sum(len(batch.trajectories) for batch in batches))
-    tracks = named.track(batches, advance, seed=options.seed)
-    give_back()
-    begin("errors and events")
-    truths, lines = truths_of(folders), list[str]()
-    rows = scored_rows(tracks.table, truths, {folder.name: folder.rig.stations for folder in folders})
-    if is_scored(rows).any():
-        lines = [*mirrored_heights(rows, folders), *late_readings(parts[0][0], folders)]
-    elif truths:
-        try:
-            refuse_without_overlap(rows, truths)
-        except tw.UnusableInput as problem:
-            lines = [f"not evaluated: {problem}"]
-    events = events_of(tracks.table, named.spec, batches)
-    return Tracked(parts[0][0], folders, tracks, events, rows, fits, [*tracks.notices, *lines])
+    return ScoredRun.of(parts, options.seed, begin), fits
 
 
 def track_together(
@@ -177,16 +132,16 @@ def _track(
     """Tracks recordings with one of `of` trackers into the folder `out`; its page, if there is to be one."""
     named = tw.build(name, folders, options.numbers.free_height, options.numbers.side)
     notice_unused_calibration(folders, name, named.spec.table)
-    found = tracked(named, folders, options, run.begin)
+    found, fits = tracked(named, folders, options, run.begin)
     evaluation, endings = found.evaluation, found.tracks.summaries
-    for line in found.fits:
+    for line in fits:
         notice(line)
     flat = [one for batch in found.tracks.batches if batch.planar for one in batch.trajectories]
     heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
     if heights and not named.spec.bearing_only:
         notice(f"height: known from rig.toml for {counted(heights, 'tag')} and used; estimate it with --free-height")
     notices(found.notices)
-    for file, rows in found.files(evaluation).items():
+    for file, rows in files_of(found, evaluation).items():
         write_whole(output_folder(out) / file, rows)
     whose = "" if out == options.out else f"{short(name)}: "
     print(f"{whose}{counted(sum(endings.values()), 'track')}: {words_of(endings)}")
@@ -201,7 +156,7 @@ def _track(
             print(f"event: {event} ({counted(count, 'time')})")
         return drawn
 
-    about = {"recordings": [str(folder.path) for folder in folders], "verdicts": endings, "fitted": found.fits}
+    about = {"recordings": [str(folder.path) for folder in folders], "verdicts": endings, "fitted": fits}
     text = partial(to_text, evaluation, terminal_width()) if of == 1 else str
     end_run(name, evaluation, text, show, len(found.rows), about, options, out, run)
     return pages
@@ -233,12 +188,12 @@ def words_of(endings: Mapping[str, int]) -> str:
     return "; ".join(f"{n} {words}" for words, n in sorted(endings.items(), key=lambda x: -x[1]))
 
 
-def scored(found: Tracked) -> ScoredTracks:
+def scored(found: ScoredRun) -> ScoredTracks:
     """The tracks as the page and the figures show them."""
     return ScoredTracks(found.rows, found.folders, found.tracks.batches)
 
 
-def page_of(found: Tracked, evaluation: tw.Evaluation, of: int, files: bool) -> dict[str, Any]:
+def page_of(found: ScoredRun, evaluation: tw.Evaluation, of: int, files: bool) -> dict[str, Any]:
     """The data of the page of one of `of` trackers; `files`: whether there are figures in files."""
     name, known = found.named.name, evaluation if evaluation.overall["n"] else None
     return run_data(scored(found), found.events, known, f"{name}: {found.named.spec.about}", short(name), of, files)

@@ -1,4 +1,4 @@
-"""The recordings of an archive, folders of folders at any depth, and the digests of their content."""
+"""Where recordings are, folders of folders at any depth, with digests of their content; and where results may go."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from trackwright.trackers.core.errors import UnusableInput, has_control
 from trackwright.trackers.recordings.folder import refuse_repeated
 from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE
@@ -59,3 +60,27 @@ def content_of(path: Path) -> str:
             with entry.open("rb") as file:
                 digest.update(hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()
+
+
+def require_output(path: Path) -> None:
+    """Raises UnusableInput for a folder that takes no results: a recording, a file, or the root of the file system."""
+    why = ""
+    if path.resolve() == Path(path.resolve().anchor):
+        why = "is the root of the file system"
+    elif has_control(str(path)):
+        why = "has a control character or bytes that are no UTF-8"
+    elif path.is_file():
+        why = "is a file"
+    elif (path / RIG_FILE).exists() and any(map(_is_part, set(os.listdir(path)) - {RIG_FILE})):
+        why = "is a recording folder"
+    if why:
+        raise UnusableInput(f"--out {path}: {why}; expected a folder for results; choose another folder")
+
+
+def require_new(out: Path, name: str, force: bool) -> None:
+    """Raises UnusableInput for a file that is no .toml, as `name`, or that exists and is not to be replaced."""
+    if out.suffix != ".toml" or out.is_dir():
+        raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give {name} in a folder")
+    if out.exists() and not force:
+        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    require_output(out.parent)

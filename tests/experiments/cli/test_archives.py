@@ -13,11 +13,11 @@ import pytest
 from tests.experiments.cli.small_archive import recording, write_archive
 from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.experiments.cli import archive as command
-from trackwright.experiments.cli import tracking
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import WorkerExecutor
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation import scored_run
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.archives import MANY, archive_of
 from trackwright.trackers.recordings.atomic import held
@@ -45,7 +45,7 @@ def archive(tmp_path_factory):
 @pytest.fixture(scope="module", autouse=True)
 def begun():
     """The names of the recordings that are tracked; the one with the number `FAILING` fails."""
-    names, events_of = [], tracking.events_of
+    names, events_of = [], scored_run.events_of
 
     def failing(tracks, *rest):
         names.append(tracks["recording"][0])
@@ -54,7 +54,7 @@ def begun():
         return events_of(tracks, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tracking, "events_of", failing)
+        patch.setattr(scored_run, "events_of", failing)
         yield names
 
 
