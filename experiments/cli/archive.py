@@ -23,7 +23,7 @@ import polars as pl
 
 import trackwright as tw
 from trackwright.experiments.cli import tracking as runs
-from trackwright.experiments.cli.console import LEFT_OUT, Run, faults, output_folder, ready
+from trackwright.experiments.cli.console import LEFT_OUT, Run, output_folder, ready
 from trackwright.experiments.cli.options import TrackOptions, config
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import Threads, cluster_executor
@@ -42,6 +42,7 @@ from trackwright.trackers.evaluation.metrics import RESIDUALS, added, metrics, s
 from trackwright.trackers.evaluation.scored_run import silent
 from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, content_of
 from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, held, json_text, write_whole
+from trackwright.trackers.recordings.checks.all_checks import require_sound
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS
 
@@ -108,7 +109,7 @@ class Tracking:
         """What is found in one recording; raises UnusableInput where it has errors."""
         for name, text in self.names:
             spec_here(name, text)  # a user's file may add the kind of the recording's tables
-        lines = faults(recording, self.options.force, self.calibration is not None)
+        lines = require_sound(recording, self.options.force, self.calibration is not None)
         folder, more = ready(recording, self.options.used, self.calibration)
         result = Result(notices=[*map(one_line, (*lines, *more))])
         for name in [name for name, _ in self.names] or [fitting(folder)]:

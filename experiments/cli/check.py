@@ -108,7 +108,8 @@ def survey(
     from trackwright.trackers.recordings.archives import require_new
 
     require_new(out, "rig.toml", force)
-    from trackwright.experiments.cli.console import faults, notices, output_folder, running
+    from trackwright.experiments.cli.console import notices, output_folder, running
+    from trackwright.trackers.recordings.checks.all_checks import require_sound
     from trackwright.trackers.recordings.folder import read_recording, refuse_repeated
 
     refuse_repeated(recordings)
@@ -116,7 +117,7 @@ def survey(
     for folder in (folder for folder in folders if "ranges" in folder.tables):
         # No other table is used, and positions in rig.toml may be wrong.
         unplaced = replace(folder.rig, anchors={})
-        notices(faults(replace(folder, rig=unplaced, tables={"ranges": folder.tables["ranges"]}), force, True))
+        notices(require_sound(replace(folder, rig=unplaced, tables={"ranges": folder.tables["ranges"]}), force, True))
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
     from trackwright.experiments.pages.reports.survey import survey_data, write_survey_page
     from trackwright.trackers.recordings.atomic import write_whole

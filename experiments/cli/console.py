@@ -98,19 +98,6 @@ def notices(lines: Iterable[str]) -> None:
         notice(f"notice: {line}")
 
 
-def faults(recording: RecordingFolder, force: bool | None, calibrated: bool) -> list[str]:
-    """A line for each mistake of `quick_check`; raises UnusableInput for errors without `force`, None for no option."""
-    from trackwright.trackers.recordings.checks.all_checks import quick_check
-
-    mistakes = quick_check(recording, calibrated)
-    lines = [f"{recording.path}: {mistake.where}: {mistake.message}" for mistake in mistakes]
-    errors = [line for line, mistake in zip(lines, mistakes, strict=True) if mistake.level == "error"]
-    if errors and not force:
-        more = f" (and {len(errors) - 1} more: `trackwright check {recording.path}`)" if len(errors) > 1 else ""
-        raise UnusableInput(f"{errors[0]}{more}{'' if force is None else '; --force takes it as it is'}")
-    return lines
-
-
 def ready(
     recording: RecordingFolder, used: Readings, calibration: Calibration | None
 ) -> tuple[RecordingFolder, list[str]]:
@@ -132,11 +119,13 @@ def prepared(
     refused: list[str] | None = None,
 ) -> list[RecordingFolder]:  # fmt: skip
     """The recordings in several folders as options ask for them; prints their notices. Raises UnusableInput for errors
-    as `faults`; with `refused`, which gets a line for each unusable recording, only where none is left."""
+    as `require_sound`; with `refused`, which gets a line for each unusable recording, only where none is left."""
+    from trackwright.trackers.recordings.checks.all_checks import require_sound
+
     calibration, folders = used.read_calibration(), list[RecordingFolder]()
     for recording in read_recordings(paths, refused):
         try:
-            notices(faults(recording, force, calibrated or calibration is not None) if check else ())
+            notices(require_sound(recording, force, calibrated or calibration is not None) if check else ())
             folder, lines = ready(recording, used, calibration)
         except UnusableInput as problem:
             if refused is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,13 +14,12 @@ from trackwright.experiments.text.evaluation_text import archive_text, content, 
 from trackwright.experiments.text.tables import sections_text, terminal_width
 from trackwright.experiments.text.terminal import notice
 from trackwright.experiments.text.wording import figures_drawn
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.conditions import condition_of, violation
 from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, metric_names, rows_of
-from trackwright.trackers.recordings.archives import RESULTS
+from trackwright.trackers.recordings.archives import read_archive
 from trackwright.trackers.recordings.atomic import held, json_text, write_whole
-from trackwright.trackers.recordings.folder import RecordingFolder, read_truth
-from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks, source_paths
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks, require_sources
 
 COMPARISON = "comparison.html"  # the page that compares runs
 
@@ -29,7 +27,7 @@ COMPARISON = "comparison.html"  # the page that compares runs
 def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     """Evaluates an output folder of `track`, prints the errors and writes evaluation.json; the exit code."""
     tracks = options.used.part.of_estimates(read_tracks(folder))
-    folders = prepared(options.truth or sources(folder), Readings(), check=False)
+    folders = prepared(options.truth or require_sources(folder), Readings(), check=False)
     if options.fail_if is not None:
         condition_of(options.fail_if, metric_names(tracks))
     evaluation = evaluate(tracks, folders)
@@ -40,19 +38,7 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
 
 def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
     """Evaluates the tracks of an archive again, by tracker, and writes each evaluation.json; the exit code."""
-    path, columns = out / RESULTS, dict.fromkeys(("recording", "path", "tracker"), pl.String)
-    try:
-        rows = pl.read_csv(path, columns=[*columns], schema_overrides=columns).drop_nulls()
-    except (OSError, pl.exceptions.PolarsError) as error:
-        raise UnusableInput(f"{path}: cannot be read; expected the table of `track`; run `track` again") from error
-    truths, refused = dict[str, RecordingFolder](), list[str]()
-    for name, source in rows.unique(["recording", "path"], maintain_order=True).select("recording", "path").iter_rows():
-        try:
-            truths[name] = dataclasses.replace(read_truth(Path(source)), name=name)
-            if "truth" not in truths[name].tables:
-                refused.append(f"{source}: no truth table, expected one to evaluate against")
-        except UnusableInput as problem:
-            refused.append(str(problem))
+    rows, truths, refused = read_archive(out)
     several, failed = rows["tracker"].n_unique() > 1, False
     with held(out), running("evaluate", options.json) as run:
         for (tracker,), of in rows.group_by("tracker", maintain_order=True):
@@ -76,16 +62,6 @@ def code_of(evaluation: Evaluation, fail_if: str | None, whose: str = "") -> int
     if why is not None:
         print(f"fails: {whose}{why}", file=sys.stderr)
     return int(why is not None)
-
-
-def sources(folder: Path) -> tuple[Path, ...]:
-    """The recordings tracked into an output folder; raises UnusableInput if it does not list them."""
-    paths, where, fix = source_paths(folder), folder / SOURCES, "give --truth RECORDING"
-    if not paths:
-        raise UnusableInput(f"{where}: names no recording; expected a folder written by `track`; {fix}")
-    if moved := [path for path in paths if not path.exists()]:
-        raise UnusableInput(f"{where}: {moved[0]} does not exist; expected the recordings there; {fix}")
-    return tuple(paths)
 
 
 def print_comparison(

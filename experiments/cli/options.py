@@ -108,8 +108,7 @@ class Readings(Part):
 
     Args:
         calibration: a calibration.toml of `trackwright calibrate`, of other recordings of these stations or anchors.
-        average: mean of the ranges, fixes or bearings of each tag and anchor or station over so many seconds; 0:
-            every reading; default: 0.5 for bearings that repeat.
+        average: mean of readings over so many seconds; 0: every reading; default: 0.5 for bearings that repeat.
     """
 
     calibration: File | None = None
@@ -130,8 +129,8 @@ class Numbers:
     """The tracker and its numbers.
 
     Args:
-        tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own; `track` compares
-            several, with commas; default: as in the file `--noise` or `--start`, else the one that fits the tables.
+        tracker: one that `trackwright trackers` lists, or FILE.py:NAME; `track` compares several, with commas; default:
+            as in the file `--noise` or `--start`, else the one that fits the tables.
         set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; `trackwright trackers NAME` lists them.
         free_height: estimate the height of tags whose height the rig gives.
         side: where tags are of anchors in one plane; default: below from 2 m on, above up to 0.5 m, else either.
@@ -209,8 +208,8 @@ class TrackOptions(WithNumbers):
         cluster: as --keep-going, on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
         figures: page, report.html with playback and linked charts; png or pdf, also the charts as files; or none.
         force: track recordings in spite of the errors that `trackwright check` finds.
-        keep_going: track one by one, keep finished ones for the same command again, leave out those that fail, with
-            exit code 3; always with a folder of folders, more than 60 recordings, or --cluster.
+        keep_going: track one by one, keep finished ones, leave out those that fail, with exit code 3; always with a
+            folder of folders, more than 60 recordings, or --cluster.
         json: print the error metrics as JSON, by tracker, instead of tables.
     """
 
@@ -233,8 +232,7 @@ class TuneOptions(WithNumbers):
 
     Args:
         out: the folder to write to.
-        objective: state-nll (log density of the truth) or rmse, which need truth; nll, which needs none; or a sum, e.g.
-            state-nll+0.1*rmse. Default: state-nll where there is truth, else nll.
+        objective: state-nll or rmse (need truth), nll, or a sum as state-nll+0.1*rmse; default: by the truth there is.
         tune: shell patterns of tunables, e.g. 'motion.*'; 'tied:PATTERN' keeps all matches equal. Default: the noise
             levels of motion and sensors; with truth the latency of fixes, else dof and skew of readings.
         freeze: patterns of tunables to keep.
@@ -242,8 +240,7 @@ class TuneOptions(WithNumbers):
         prior: of nll and state-nll: sites, the spread between sites about the values before the fit; or flat.
         start: a tuned.toml to start from; --set goes before it.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
-        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too. Default: 3 for state-nll
-            where truth has heights and anchors' heights differ by more than 1 m; else 2.
+        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too; default: by the truth.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for particles.
@@ -338,8 +335,7 @@ class EvaluateOptions:
     """What is compared, and what is printed.
 
     Args:
-        truth: recordings whose truth tables are used, or a trajectory file, of the one tag that the estimates follow;
-            default: the tracked recordings.
+        truth: recordings with truth, or a trajectory file of the one tag; default: the tracked recordings.
         json: print all metrics as JSON instead of a table.
         fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
     """

@@ -59,9 +59,9 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
         evaluate_folder,
         evaluate_poses,
         print_comparison,
-        sources,
     )  # fmt: skip
     from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS
+    from trackwright.trackers.recordings.tracks_table import require_sources
 
     folder, poses, truth = runs[0], options.poses, options.truth
     if len(runs) > 1:
@@ -79,5 +79,5 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
             raise UnusableInput(f"{folder}: is an archive; {fix}")
         return evaluate_archive(folder, options)
     if folder.is_file() or poses != PoseOptions() or not all(path.is_dir() for path in truth):
-        return evaluate_poses(folder, truth if truth or folder.is_file() else sources(folder), options)
+        return evaluate_poses(folder, truth if truth or folder.is_file() else require_sources(folder), options)
     return evaluate_folder(folder, options)

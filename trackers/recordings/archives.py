@@ -5,10 +5,13 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import polars as pl
+
 from trackwright.trackers.core.errors import UnusableInput, has_control
-from trackwright.trackers.recordings.folder import refuse_repeated
+from trackwright.trackers.recordings.folder import RecordingFolder, read_truth, refuse_repeated
 from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.table_file import SUFFIXES
@@ -60,6 +63,24 @@ def content_of(path: Path) -> str:
             with entry.open("rb") as file:
                 digest.update(hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()
+
+
+def read_archive(out: Path) -> tuple[pl.DataFrame, dict[str, RecordingFolder], list[str]]:
+    """Recording, path and tracker of each run of an archive; the truths by recording; a line for each without one."""
+    path, columns = out / RESULTS, dict.fromkeys(("recording", "path", "tracker"), pl.String)
+    try:
+        rows = pl.read_csv(path, columns=[*columns], schema_overrides=columns).drop_nulls()
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise UnusableInput(f"{path}: cannot be read; expected the table of `track`; run `track` again") from error
+    truths, refused = dict[str, RecordingFolder](), list[str]()
+    for name, source in rows.unique(["recording", "path"], maintain_order=True).select("recording", "path").iter_rows():
+        try:
+            truths[name] = replace(read_truth(Path(source)), name=name)
+            if "truth" not in truths[name].tables:
+                refused.append(f"{source}: no truth table, expected one to evaluate against")
+        except UnusableInput as problem:
+            refused.append(str(problem))
+    return rows, truths, refused
 
 
 def require_output(path: Path) -> None:
