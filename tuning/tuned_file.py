@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, Field
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.input_file import read_model
+from trackwright.trackers.recordings.input_file import identity, read_model
 
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.named_tracker import NamedTracker
@@ -90,6 +90,18 @@ class Tuned(BaseModel):
         """The values by name or pattern."""
         return {name: tunable.value for name, tunable in self.tunables.items()}
 
+    def other_calibration(self, path: Path, given: Path | None) -> str:
+        """What is wrong where the file at `path` was fitted with a calibration, or without, and another is `given`."""
+        begin = f"{path}: fitted to recordings with"
+        # A file that names no tracker was not written by `tune`.
+        if self.calibration is None and given is not None and self.tracker is not None:
+            return f"{begin}out a calibration, and {given} is given; leave --calibration out, or tune again"
+        own = None if self.calibration is None else self.calibration["fingerprint"]
+        if self.calibration is None or (given is not None and identity(given)["fingerprint"] == own):
+            return ""
+        now = "none is given" if given is None else f"{given} is another"
+        return f"{begin} the calibration {self.calibration['name']} ({own}), and {now}; give it, or tune again"
+
     def of(self, named: NamedTracker, path: Path | None) -> NamedTracker:
         """The tracker with the values; raises UnusableInput, naming the file, where they or their units do not fit."""
         for pattern, tunable in self.tunables.items():
@@ -123,3 +135,30 @@ def parse_values(texts: Sequence[str], option: str) -> dict[str, Any]:
             raise UnusableInput(f"{option} {name}: is given twice; expected it once; remove one")
         by_name[name] = np.asarray(values if "," in numbers else values[0])
     return by_name
+
+
+FORM = "PATTERN=START:STOP:COUNT, as 'motion.sigma_a=0.01:1:100', with ':log' at the end for equal ratios"
+
+
+def parse_grids(texts: Sequence[str], option: str) -> dict[str, np.ndarray]:
+    """Grids by tunable or pattern of one or two texts such as `motion.sigma_a=0.01:1:100:log`.
+
+    Raises UnusableInput, naming the option.
+    """
+    grids: dict[str, np.ndarray] = {}
+    for text in texts:
+        pattern, _, span = text.rpartition("=")
+        log, where = span.endswith(":log"), f"{option} {text}: expected"
+        numbers = span.removesuffix(":log").split(":")
+        try:
+            start, stop, count = (kind(x) for kind, x in zip((float, float, int), numbers, strict=True))
+        except ValueError as error:
+            raise UnusableInput(f"{where} {FORM}") from error
+        if not pattern or not -np.inf < start < stop < np.inf or count < 2:
+            raise UnusableInput(f"{where} {FORM}, START below STOP and COUNT at least 2")
+        if log and start <= 0:
+            raise UnusableInput(f"{where} START above zero for equal ratios")
+        grids[pattern] = (np.geomspace if log else np.linspace)(start, stop, int(count))
+    if not len(grids) == len(texts) <= 2:
+        raise UnusableInput(f"{option} given {len(texts)} times: expected once, or twice for different patterns")
+    return grids

@@ -10,9 +10,9 @@ import polars as pl
 import pytest
 
 from tests.faulty import RIG, write_good
-from trackwright.experiments.cli.options import require_output
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings import input_file
+from trackwright.trackers.recordings.archives import require_output
 from trackwright.trackers.recordings.calibration import read_calibration
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.table_file import read_table_file
