@@ -43,12 +43,12 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
 def calibrate_recordings(*recordings: Recording, out: File, force: bool = False, json: bool = False) -> int:
     """Fit systematic errors of stations and anchors against truth.
 
-    Writes a file for `--calibration` of other commands, and beside it a page with figures. Recordings to be tracked or
+    Writes a file for `--calibration` of other commands, and beside it a page with charts. Recordings to be tracked or
     tuned with the result should be others than these.
 
     Args:
         recordings: recording folders with truth, and bearings, ranges or tdoa; each has the same weight.
-        out: the file to write, as calibration.toml; the page and its figures go beside it.
+        out: the file to write, as calibration.toml; the page goes beside it.
         force: replace a file that exists, and take recordings in spite of the errors that `trackwright check` finds.
         json: print the content of that file as JSON instead of tables.
     """
@@ -58,15 +58,8 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
 
     folders = prepared(checked(read_recordings(recordings), force, calibrated=True), ReadingOptions())
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
-    from trackwright.experiments.pages.charts.style import write_charts
-    from trackwright.experiments.pages.reports.calibration import (
-        WIDTH,
-        calibration_charts,
-        report_on,
-        write_calibration_report,
-    )
+    from trackwright.experiments.pages.reports.calibration import WIDTH, report_on, write_calibration_report
     from trackwright.experiments.text.tables import sections_text
-    from trackwright.experiments.text.wording import figures_drawn
     from trackwright.trackers.recordings.calibration import write_calibration
     from trackwright.tuning.calibrating import calibrate
 
@@ -74,13 +67,9 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
     output_folder(out.parent)
     report = report_on(calibration, folders)
     write_calibration(calibration, out)
-    charts = calibration_charts(calibration, report)
-    drawn = write_charts(
-        out.parent, [one for pair in charts.values() for of in pair for one in of], "png", f"{out.stem}-"
-    )
-    page = write_calibration_report(out, calibration, report, charts, sys.argv)
+    page = write_calibration_report(out, calibration, report, sys.argv)
     with json_alone(json) as put:
         print(sections_text([*report.tables.values()], WIDTH, report.note), end="")
-        print(f"wrote {out}, {page.name} and {figures_drawn(drawn)}")
+        print(f"wrote {out} and {page.name}")
         put(tomllib.loads(out.read_text("utf-8")))
     return 0

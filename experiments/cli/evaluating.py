@@ -15,7 +15,6 @@ from trackwright.experiments.cli.options import EvaluateOptions, require_output
 from trackwright.experiments.text.evaluation_text import content, to_json, to_text
 from trackwright.experiments.text.tables import sections_text, terminal_width
 from trackwright.experiments.text.terminal import notice
-from trackwright.experiments.text.wording import figures_drawn
 from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, metric_names, rows_of
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
@@ -51,21 +50,21 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
 
 
 def print_comparison(
-    folders: Sequence[Path], out: Path | None, kind: str | None = "png", json: bool = False, page: bool = True,
+    folders: Sequence[Path], out: Path | None, kind: str | None = None, json: bool = False, page: bool = True,
     playback: str | None = None,
 ) -> None:  # fmt: skip
     """Prints the comparison of the runs in these folders, and writes its page and figures into the folder `out`.
     `kind`: the ending of the figures, None for none. `playback`: another page beside it, which it names."""
     # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
-    from trackwright.experiments.pages.charts.comparison import comparison_charts
-    from trackwright.experiments.pages.charts.style import write_charts
+    from trackwright.experiments.pages.charts.drawing import write_charts
     from trackwright.experiments.pages.reports.comparison import (
         WIDTH,
         comparison,
+        comparison_charts,
         lone_subjects,
+        read_runs,
         write_comparison,
     )
-    from trackwright.experiments.pages.reports.runs import read_runs
 
     runs, notices = read_runs(folders)
     tables, contrasts = comparison(runs)
@@ -187,7 +186,6 @@ def _write(
     truth: Sequence[Path], source: str,
 ) -> str:  # fmt: skip
     """Writes the files of `--out`; returns in words which."""
-    from trackwright.experiments.pages.charts.figures import plot_tracks
     from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
     from trackwright.experiments.pages.scored_tracks import ScoredTracks
 
@@ -199,9 +197,9 @@ def _write(
         atomic_write(out / SOURCES, lambda path: path.write_text(names, encoding="utf-8"))
     scored = ScoredTracks(rows_of(tracks, folders), folders, ())
     none = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
-    run = run_data(scored, none, evaluation, source, figures=True)
+    run = run_data(scored, none, evaluation, source)
     write_track_page(out / PAGE, [run], shlex.join(["trackwright", *sys.argv[1:]]), "evaluate")
-    return f"wrote {out}: {PAGE}, {EVALUATION}, {TRACKS} as compared, and {figures_drawn(plot_tracks(out, scored))}"
+    return f"wrote {out}: {PAGE}, {EVALUATION}, and {TRACKS} as compared"
 
 
 def condition_of(expression: str, names: Sequence[str]) -> pl.Expr:

@@ -51,7 +51,7 @@ def study(
     from trackwright.experiments.monte_carlo.declaration import checked
     from trackwright.experiments.monte_carlo.runner import StopRule, run_study
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
-    from trackwright.experiments.pages.charts.style import write_charts
+    from trackwright.experiments.pages.charts.drawing import write_charts
     from trackwright.experiments.pages.reports.pages import write_page
     from trackwright.experiments.pages.reports.study import (
         REPORT,

@@ -208,8 +208,8 @@ def _track(
     page, drawn = None, list[str]()
     if options.figures != "none":
         begin("report")
-        files, shown = of == 1 and file_format(options.figures) is not None, evaluation if known else None
-        page = run_data(scored, happened, shown, f"{name}: {named.spec.about}", run.short, of, files)
+        shown = evaluation if known else None
+        page = run_data(scored, happened, shown, f"{name}: {named.spec.about}", run.short, of)
     if of == 1:
         drawn = write_shown(scored, page, options, out, begin)
     write_manifest(
@@ -255,7 +255,7 @@ def write_shown(
     if kind := file_format(options.figures):
         begin("figures")
         # matplotlib takes a third of a second to import.
-        from trackwright.experiments.pages.charts.figures import plot_tracks
+        from trackwright.experiments.pages.charts.recording import plot_tracks
 
         drawn = plot_tracks(out, tracks, kind)
         written.append(figures_drawn(drawn))

@@ -18,7 +18,6 @@ from trackwright.experiments.cli.console import FoldersInTurn
 from trackwright.experiments.cli.options import TuneOptions, file_format
 from trackwright.experiments.cli.runtime import write_manifest
 from trackwright.experiments.cli.tuning_job import Fitted, cross_calibrated, fit_folders, fit_workers
-from trackwright.experiments.pages.charts.style import write_charts
 from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart
 from trackwright.experiments.pages.reports.before_after import (
     MOST_PLANS,
@@ -197,6 +196,8 @@ def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
     if figure is None:
         return []
+    from trackwright.experiments.pages.charts.drawing import write_charts
+
     about = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
     units = [p.example.unit for p in result.parameters for _ in range(p.size)]
     charts = [parameter_chart(traces, k, *named) for k, named in enumerate(zip(names, units, strict=True))]

@@ -12,9 +12,8 @@ from tests.experiments.pages.reports.test_track_page import NO_EVENTS
 from tests.experiments.pages.reports.tuning_report_data import report_data
 from tests.tuning.calibration_worlds import world
 from trackwright.experiments.monte_carlo.runner import run_study
-from trackwright.experiments.pages.charts.comparison import comparison_charts
-from trackwright.experiments.pages.reports.calibration import calibration_charts, report_on, write_calibration_report
-from trackwright.experiments.pages.reports.comparison import write_comparison
+from trackwright.experiments.pages.reports.calibration import report_on, write_calibration_report
+from trackwright.experiments.pages.reports.comparison import comparison_charts, write_comparison
 from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.study import study_page
 from trackwright.experiments.pages.reports.track import run_data, write_track_page
@@ -66,8 +65,7 @@ def _calibration(folder):
     folders = world(5, 1, seconds=30.0)[1]
     calibration = calibrate(folders)
     out, report = folder / "calibration.toml", report_on(calibration, folders)
-    charts = calibration_charts(calibration, report)
-    return write_calibration_report(out, calibration, report, charts, ["calibrate"])
+    return write_calibration_report(out, calibration, report, ["calibrate"])
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,9 @@ from trackwright.experiments.text.expectations import Value
 pytestmark = pytest.mark.slow
 
 MEASURE = """() => {
-  const images = [...document.images], root = document.documentElement;
+  const root = document.documentElement, count = (what) => document.querySelectorAll(what).length;
   const charts = [...document.querySelectorAll(".chart .main-svg")].map((one) => one.clientWidth);
-  const loaded = images.filter((one) => one.naturalWidth > 0).length;
-  return [root.scrollWidth, images.length, loaded, Math.min(...charts), document.querySelectorAll("section").length];
+  return [root.scrollWidth, count("figure"), count(".js-plotly-plot"), Math.min(...charts), count("section")];
 }"""
 
 
