@@ -79,7 +79,7 @@ def print_comparison(
     if out is None:
         return
     path = output_folder(out) / COMPARISON
-    charts = comparison_charts(runs, contrasts)
+    charts = comparison_charts(runs)
     written = [] if kind is None else write_charts(out, charts, kind, f"{path.stem}-")
     if page:
         written.insert(0, write_comparison(path, [run.name for run in runs], tables, charts, sys.argv, playback).name)

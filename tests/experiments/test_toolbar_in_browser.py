@@ -58,7 +58,7 @@ def _study(folder):
 
 def _comparison(folder):
     runs = [small_run("uwb", {"a": 0.2}), small_run("median", {"a": 0.5})]
-    return write_comparison(folder / "comparison.html", ["uwb", "median"], [], comparison_charts(runs, []), ["report"])
+    return write_comparison(folder / "comparison.html", ["uwb", "median"], [], comparison_charts(runs), ["report"])
 
 
 def _calibration(folder):

@@ -9,20 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from trackwright.experiments.pages.charts import style
 from trackwright.experiments.pages.charts.distributions import Curve, distribution, law_of, nis_chart
 from trackwright.experiments.pages.charts.floor import PlanPath, natural, plan, track_paths, true_path
 from trackwright.experiments.pages.charts.residuals import Residuals, error_map, residual_charts
-from trackwright.experiments.pages.charts.style import (
-    BLACK,
-    GREY,
-    LINES,
-    VERMILION,
-    Chart,
-    Line,
-    band,
-    broken_at_gaps,
-    rule,
-)
+from trackwright.experiments.pages.charts.style import Chart, Line, band, broken_at_gaps, rule
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, drawn_of
 from trackwright.experiments.text.wording import Unit, length_unit
 from trackwright.trackers.core.data.consistency import chi_square_probability
@@ -55,10 +46,10 @@ def floor_plan(scored: ScoredRecording, tags: Sequence[str] = ()) -> Chart:
     """
     names = [str(tag) for tag in scored.first["tag"]]
     order = sorted(range(len(names)), key=lambda k: natural(names[k]))
-    chosen = drawn_of(scored.rmse[order], False, len(LINES))
-    shown = dict.fromkeys(tags[: len(LINES)], "") or {names[order[k]]: why for k, why in chosen.items()}
+    chosen = drawn_of(scored.rmse[order], False, len(style.LINES))
+    shown = dict.fromkeys(tags[: len(style.LINES)], "") or {names[order[k]]: why for k, why in chosen.items()}
     paths, truths = list[PlanPath](), list[np.ndarray]()
-    for (tag, remark), colour in zip(shown.items(), LINES, strict=False):
+    for (tag, remark), colour in zip(shown.items(), style.LINES, strict=False):
         k, most = track_number(scored, tag), min(ELLIPSES // len(shown), ELLIPSES // 2)
         name = (f"tag {tag}" if tag else "estimates") + (f": {remark}" if remark else "")
         paths += track_paths([scored], k, [(name, colour, "")], most)
@@ -95,7 +86,7 @@ def error_over_time(scored: ScoredRecording, tag: str | None = None, axis: str =
     if axis and scored.bounds is not None:
         at, bound = broken_at_gaps(scored.bounds[0] - scored.zero, 3 * scored.bounds[1][:, known[axis]])
         for limit, label in ((bound, "± 3 × Cramér–Rao bound of this model"), (-bound, "")):
-            parts.append(Line(at, limit, label, VERMILION, 1.1, "dash"))
+            parts.append(Line(at, limit, label, style.VERMILION, 1.1, "dash"))
     name, label = f"error-over-time{axis and f'-{axis}'}", f"error in {axis} (m)" if axis else "horizontal error (m)"
     look: dict[str, Any] = {"ylim": (None if axis else 0, None), "robust": True, "note": note, **WIDE}
     return Chart(name, "Error over time", time_label(scored.zero), label, parts, **look)
@@ -144,13 +135,13 @@ def coverage(scored: ScoredRecording | Mapping[str, ScoredRecording], spatial: b
     levels = {k: chi_square_probability(v[np.isfinite(v)], dof) for k, (v, dof) in nees.items() if np.isfinite(v).any()}
     if shape and len(levels) > 1:
         levels["all rows"] = np.concatenate([*levels.values()])
-    at, parts = np.linspace(0, 100, 201), [Line([0, 100], [0, 100], "correct covariances", GREY, 1.0, "dash")]
+    at, parts = np.linspace(0, 100, 201), [Line([0, 100], [0, 100], "correct covariances", style.GREY, 1.0, "dash")]
     # Of many curves none has a colour and a name of its own.
-    named = len(levels) <= len(LINES) + 1
+    named = len(levels) <= len(style.LINES) + 1
     for k, (name, values) in enumerate(levels.items()):
         inside, label = _inside(values, at), f"{name}: {_inside(values, np.array([95.0]))[0]:.0f} % inside 95 %"
         pooled = name == "all rows" and k > 0
-        colour = BLACK if pooled else LINES[k % len(LINES)] if named else GREY
+        colour = style.BLACK if pooled else style.LINES[k % len(style.LINES)] if named else style.GREY
         parts.append(Line(at, inside, label if named or pooled else "", colour, 1.9 if pooled else 1.3))
     words, title = ("ellipsoid", "ellipsoids") if spatial else ("ellipse", "ellipses")
     ends: dict[str, Any] = {"xlim": (0, 100.8), "ylim": (0, 100.8), "xticks": LEVELS, "yticks": LEVELS, "equal": True}
@@ -233,7 +224,7 @@ def bearing_over_time(
     lines = [band(at, shown - 3 * sigma, shown + 3 * sigma, "reported ± 3 σ"), Line(at, shown, "estimate", width=0.9)]
     if known.any():
         at, true = broken_at_gaps(times[known], truth[known])
-        lines.append(Line(at, _about(middle, true), "truth", BLACK, 1.0, "dash"))
+        lines.append(Line(at, _about(middle, true), "truth", style.BLACK, 1.0, "dash"))
     label = time_label(scored.zero), f"{part.name} (°)"
     return Chart("bearings", "Bearing over time", *label, lines, robust=True, **WIDE)
 

@@ -135,8 +135,8 @@ def error_map(recording: ScoredRecording) -> list[Chart]:
     decade = 10.0 ** np.floor(np.log10(extent / CELLS))
     cell = float(next(d * decade for d in (1, 2, 5, 10) if d * decade >= extent / CELLS * (1 - 1e-9)))
     edges = [cell * np.arange(np.floor(of.min() / cell), np.floor(of.max() / cell) + 2) for of in true[known].T]
-    given: Any = true[known, 0], true[known, 1], edges
-    count, total = (np.histogram2d(*given, weights=weights)[0].T for weights in (None, squares[known]))
+    histogram: Any = np.histogram2d
+    count, total = (histogram(*true[known].T, edges, weights=weights)[0].T for weights in (None, squares[known]))
     rmse = np.sqrt(total / np.where(count > 0, count, np.nan))
     x, y = (of[:-1] + cell / 2 for of in edges)
     field = Field(x, y, rmse, "RMSE (m)", "Viridis", 0.0, float(np.nanmax(rmse)))

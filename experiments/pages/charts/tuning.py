@@ -9,23 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trackwright.experiments.pages.charts import style
 from trackwright.experiments.pages.charts.distributions import Curve, distribution, histograms, nis_chart
 from trackwright.experiments.pages.charts.floor import plan, track_paths, true_path
-from trackwright.experiments.pages.charts.style import (
-    BEFORE,
-    BLUE,
-    INK,
-    NARROW,
-    PALE,
-    VERMILION,
-    Chart,
-    Field,
-    Line,
-    band,
-    broken_at_gaps,
-    is_logarithmic,
-    rule,
-)
+from trackwright.experiments.pages.charts.style import Chart, Field, Line, band, broken_at_gaps, is_logarithmic, rule
 from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChange
 from trackwright.experiments.pages.scored_tracks import root_mean_square
 from trackwright.experiments.text.wording import fixed, length_unit, number
@@ -56,7 +43,7 @@ def plan_chart(change: TrackChange) -> Chart:
         "held out" if change.held_out else "tuned on",
         change.why,
     ]
-    looks = [(k, colour, f"95 % ellipses {k}") for k, colour in (("before", BEFORE), ("after", BLUE))]
+    looks = [(k, colour, f"95 % ellipses {k}") for k, colour in (("before", style.BEFORE), ("after", style.BLUE))]
     paths = track_paths([change.before, change.after], change.track, looks, ELLIPSES, POINTS)
     look: dict[str, Any] = {"width": 5.0, "caption": f"{'; '.join(filter(None, words))}."}
     truths, rig = true_path(change.after, change.track), change.after.folder.rig
@@ -66,13 +53,13 @@ def plan_chart(change: TrackChange) -> Chart:
 def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
     """NIS against its distribution, its probabilities, and its autocorrelation."""
     bins, lags = np.linspace(0, 1, 21), np.arange(1, LAGS + 1)
-    small: dict[str, Any] = {"width": NARROW, "height": 0.92 * NARROW}
+    small: dict[str, Any] = {"width": style.NARROW, "height": 0.92 * style.NARROW}
     new, old = (np.histogram(nis_probabilities(side), bins, density=True)[0] for side in (after, before))
-    uniform = [*histograms(bins, [new, old]), rule(1.0, (0, 1), name="consistent", colour=VERMILION, width=1.6)]
+    uniform = [*histograms(bins, [new, old]), rule(1.0, (0, 1), name="consistent", colour=style.VERMILION, width=1.6)]
     (earlier, _), (later, pairs) = autocorrelation(before, LAGS), autocorrelation(after, LAGS)
     wide = 1.96 / np.sqrt(max(pairs, 1))
-    white = band([0, LAGS + 1], -wide, wide, "95 % band of white noise", VERMILION, 0.16)
-    sides = (earlier, "before", BEFORE), (later, "after", BLUE)
+    white = band([0, LAGS + 1], -wide, wide, "95 % band of white noise", style.VERMILION, 0.16)
+    sides = (earlier, "before", style.BEFORE), (later, "after", style.BLUE)
     points = [Line(lags, y, name, colour, 0.8, marker="circle", size=3) for y, name, colour in sides]
     probabilities = Chart(
         "probabilities", "Probabilities of NIS", "probability of a smaller NIS", "density", uniform, **small
@@ -92,8 +79,8 @@ def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
     rows = sorted((root_mean_square(e.before), root_mean_square(e.after), _short(e.name)) for e in errors)[-MOST:]
     old, new, names = (np.array(column) for column in zip(*rows, strict=True))
     places, worse = np.arange(len(rows)), new > old
-    parts = [Line(old, places, "before", BEFORE, 0.0, marker="circle-open", size=6)]
-    for which, colour, label in ((~worse, BLUE, "after"), (worse, VERMILION, "after, larger")):
+    parts = [Line(old, places, "before", style.BEFORE, 0.0, marker="circle-open", size=6)]
+    for which, colour, label in ((~worse, style.BLUE, "after"), (worse, style.VERMILION, "after, larger")):
         if which.any():
             along = np.stack([old, new, np.full(len(rows), np.nan)], 1)[which].ravel()
             parts.append(Line(along, np.repeat(places[which], 3), "", colour, 1.6, opacity=0.6))
@@ -119,7 +106,7 @@ def distribution_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
     end = 1.05 * max(float(curve.quantiles([99.0])[0]) for curve in curves)
     named, looks = (
         [curve._replace(name=name) for curve, name in zip(curves, within, strict=True)],
-        [{"colour": BEFORE}, {"colour": BLUE}],
+        [{"colour": style.BEFORE}, {"colour": style.BLUE}],
     )
     return distribution(
         "distribution", "Distribution of errors of all rows", named, f"error ({unit})", end, (95.0,), looks
@@ -134,7 +121,7 @@ def error_charts(errors: Sequence[ErrorTrack], unit: str) -> list[Chart]:
         of_blocks = np.stack([track.times, track.before**2, track.after**2])
         means = np.add.reduceat(of_blocks, starts, axis=1) / np.diff([*starts, len(track.times)])
         at, old, new = broken_at_gaps(means[0], *np.sqrt(means[1:]))
-        parts = [Line(at, old, "before", BEFORE, 0.9), Line(at, new, "after", BLUE, 1.2)]
+        parts = [Line(at, old, "before", style.BEFORE, 0.9), Line(at, new, "after", style.BLUE, 1.2)]
         labels = f"Error of {_short(track.name)} over time", "time since the start (s)", f"error ({unit})"
         charts.append(Chart("errors", *labels, parts, ylim=(0, None), robust=True, height=2.1))
     return charts
@@ -164,8 +151,8 @@ def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, unit: s
     values = [t.values[:, k] for t in traces]
     look: dict[str, Any] = {
         "log": "y" * is_logarithmic(np.concatenate(values)),
-        "width": NARROW,
-        "height": 0.62 * NARROW,
+        "width": style.NARROW,
+        "height": 0.62 * style.NARROW,
     }
     return Chart(f"tuning-{name}", named(name, unit), "step", "", _steps(values), **look)
 
@@ -173,7 +160,7 @@ def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, unit: s
 def _steps(traces: Sequence[np.ndarray]) -> list[Line]:
     words = {0: "best start", 1: "other starts"} if len(traces) > 1 else {}
     lines = [(k, np.arange(len(values)), values) for k, values in enumerate(traces)][::-1]
-    return [Line(x, y, words.get(k, ""), PALE if k else BLUE, 1.1 if k else 1.8) for k, x, y in lines]
+    return [Line(x, y, words.get(k, ""), style.PALE if k else style.BLUE, 1.1 if k else 1.8) for k, x, y in lines]
 
 
 def selected_step(best: OptimiserTrace, after: Sequence[float]) -> int:
@@ -238,7 +225,7 @@ def _objective(
         (grid,) = grids
         if spread is not None:
             parts.append(band(grid, values - spread, values + spread, "± standard deviation over repeats"))
-        parts.append(Line(grid, values, "", INK, 1.4, marker="circle" * (len(grid) <= 40), size=3.5))
+        parts.append(Line(grid, values, "", style.INK, 1.4, marker="circle" * (len(grid) <= 40), size=3.5))
         paths = [np.column_stack([path, np.interp(path[:, 0], grid, values, np.nan, np.nan)]) for path in paths]
         best, labels = [*best, least], [*labels, objective]
     else:
@@ -248,7 +235,7 @@ def _objective(
         parts.append(Field(grids[0], grids[1], excess.T, objective, "Blues", 0.0, float(levels[-1]), ticks))
     for k, path in reversed(list(enumerate(paths))):
         word = {0: "best start" if len(paths) > 1 else "optimiser steps", 1: "other starts"}.get(k, "")
-        colour, width, size, opacity = (INK, 0.6, 2.5, 0.5) if k else (VERMILION, 1.2, 4.0, 1.0)
+        colour, width, size, opacity = (style.INK, 0.6, 2.5, 0.5) if k else (style.VERMILION, 1.2, 4.0, 1.0)
         parts.append(Line(path[:, 0], path[:, 1], word, colour, width, "solid", "circle", size, opacity))
-    parts.append(Line([best[0]], [best[1]], "minimum", VERMILION, 0.0, marker="circle", size=8))
+    parts.append(Line([best[0]], [best[1]], "minimum", style.VERMILION, 0.0, marker="circle", size=8))
     return Chart(name, title, labels[0], labels[1], parts, xlim, ylim, log=log, height=3.6)

@@ -16,11 +16,9 @@ from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.calibration import (
-    ANGLE_TERMS,
     ANGLES,
     DETERMINED,
     OFFSET_SIGMA,
-    RANGE_TERMS,
     UNCALIBRATED,
     Calibration,
     angle_terms,
@@ -31,18 +29,11 @@ from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import systematic
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
 
-WIDTH = 150
-SHOWN = 12
-"""The most stations, or anchors, with charts."""
+WIDTH, SHOWN = 150, 12
+"""Characters of a table's line, and the most stations, or anchors, with charts."""
 
-CURVE, POINTS = 80, 500
-"""Points of a fitted curve, and the most rows drawn of a source, before and after each: evenly spaced ones."""
-
-SQUARE = 0.5
-"""Side of the squares of the floor, m, whose median errors are drawn."""
-
-NOT_LINEAR = ", not linear"
-"""What follows the name of an anchor whose errors differ by distance after the line is removed."""
+CURVE, POINTS, SQUARE = 80, 500, 0.5
+"""Points of a fitted curve, about the most rows drawn of a source, and the side of the squares of the floor, m."""
 
 _ERRORS = ("rows", "as measured", "calibrated", "left out")
 SECTIONS = {
@@ -62,15 +53,12 @@ SECTIONS = {
 }  # fmt: skip
 """The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several."""
 
-NOTES = {
-    "": "± standard error.",
-    "(": "In brackets: not determined by these recordings, near its value before any of them.",
-    NOT_LINEAR: "Not linear: the errors that the line leaves differ between distances more than between pieces of time "
-    "(p < 0.001).",
-    "as measured": "As measured, calibrated: 68th percentile of the absolute error before and after.",
-    "left out": "Left out: cross-validated, by a calibration on the other recordings.",
-}
-"""What the tables' marks mean, by the text that has to occur in them."""
+NOTE = (
+    "± standard error; in brackets: not determined by these recordings, near its value before them. As measured, "
+    "calibrated: 68th percentile of the absolute error before and after. Left out: by a calibration on the other "
+    "recordings. Not linear: the errors that the line leaves differ between distances more than between pieces of time "
+    "(p < 0.001)."
+)
 
 
 class Source(NamedTuple):
@@ -95,16 +83,16 @@ class Source(NamedTuple):
         """The readings (N,), rad or m, NaN where not measured."""
         return self.pairs.measured[:, self.column]
 
-    def fit(self, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray, Sequence[str]]:
-        """Terms, covariance, whether each is determined, and their names."""
+    def fit(self, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Terms, covariance, and whether each is determined."""
         if self.is_angle:
             station, k = calibration.stations[self.name], self.column
-            return station.coefficients[k], station.covariances[k], station.determined[k], ANGLE_TERMS
+            return station.coefficients[k], station.covariances[k], station.determined[k]
         if self.table == "differences":
             known, k = calibration.differences, calibration.differences.anchors.index(self.name)
-            return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]], RANGE_TERMS[:1]
+            return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]]
         anchor = calibration.anchors[self.name]
-        return anchor.coefficients, anchor.covariance, anchor.determined, RANGE_TERMS
+        return anchor.coefficients, anchor.covariance, anchor.determined
 
     def errors(self, calibration: Calibration | None) -> np.ndarray:
         """Measured minus expected values (N,), rad or m, NaN where not measured; None: without a calibration."""
@@ -135,11 +123,10 @@ class Source(NamedTuple):
 class Report(NamedTuple):
     """The tables of a calibration by what they are of, those with rows, and no column of dashes alone.
 
-    `undetermined`: each source with the terms that are not determined. `note`: what the marks in the tables mean.
+    `note`: what the marks in the tables mean.
     """
 
     tables: dict[str, Section]
-    undetermined: list[tuple[str, str]]
     sources: list[Source]
     note: str
 
@@ -148,10 +135,15 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     """The tables of a calibration of these recordings."""
     # An anchor whose differences are to anchors with too few has no bias.
     sources = [one for one in _sources(folders) if one.table != "differences" or one.name in calibration.differences]
-    without, undetermined = _without_each(folders), []
     rows: dict[str, list[list[str]]] = {name: [] for name in SECTIONS}
+    without = list[Calibration | None]()
+    for apart in folders:
+        try:
+            without.append(systematic([folder for folder in folders if folder is not apart]))
+        except UnusableInput:
+            without.append(None)
     for source in sources:
-        terms, covariance, determined, names = source.fit(calibration)
+        terms, covariance, determined = source.fit(calibration)
         cells = [_term(*values) for values in zip(terms, np.sqrt(np.diag(covariance)), determined, strict=True)]
         left_out, of = np.full(len(source.pairs.true), np.nan), source.pairs.recording
         for number, other in enumerate(without):
@@ -163,37 +155,26 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         shown = [MISSING if np.isnan(spread) else fixed(spread, 1) + unit for spread in spreads]
         true, limit = source.pairs.true[:, 0], source.spread(calibrated)
         bent = source.table == "anchors" and differs_by_distance(true, calibrated, source.pairs.piece, limit)
-        head = [source.name + NOT_LINEAR * bent, *[source.quantity] * source.is_angle]
+        head = [source.name + ", not linear" * bent, *[source.quantity] * source.is_angle]
         rows[source.table].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
-        if not all(determined):
-            lacking = ", ".join(name for name, known in zip(names, determined, strict=True) if not known)
-            kind = SECTIONS[source.table].head[0]
-            undetermined.append((f"{kind} {source.name}, {source.quantity}", lacking))
-    rows["tags"] = [
-        [name, _term(tag.bias, tag.sigma, True), *map(_offset, tag.offset, tag.offset_sigmas), str(tag.rows)]
-        for name, tag in calibration.tags.items()
-        if len(calibration.tags) > 1
-    ]
-    tables = {}
+    for name, tag in calibration.tags.items() if len(calibration.tags) > 1 else ():
+        # There is no place on a body whose heading is not known.
+        places = (_term(*of, of[1] < DETERMINED * OFFSET_SIGMA) if of[1] else MISSING
+                  for of in zip(tag.offset, tag.offset_sigmas, strict=True))  # fmt: skip
+        rows["tags"].append([name, _term(tag.bias, tag.sigma, True), *places, str(tag.rows)])
+    tables, note = {}, NOTE
     for name, section in SECTIONS.items():
         width = len(section.head) - (name != "tags" and all(row[-1] == MISSING for row in rows[name]))
         if rows[name]:
             shorter = [row[:width] for row in rows[name]]
             tables[name] = section._replace(head=section.head[:width], rows=shorter, looks={"calibrated": "after"})
-    return Report(tables, undetermined, sources, _note(tables, calibration))
-
-
-def _note(tables: dict[str, Section], calibration: Calibration) -> str:
-    """What the marks mean that occur in the tables, and what a map of the errors of bearings brings."""
-    cells = [cell for section in tables.values() for row in (section.head, *section.rows) for cell in row]
-    notes = [text for mark, text in NOTES.items() if any(mark in cell for cell in cells)]
     if by_place := calibration.bearing_map:
         visits = sum(len(visits) for visits in by_place.stations.values())
-        notes.append(
-            f"A map of the errors of bearings over the floor is kept, of {visits} visits: visits left out are more "
+        note += (
+            f" A map of the errors of bearings over the floor is kept, of {visits} visits: visits left out are more "
             f"probable by {by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
         )
-    return " ".join(notes)
+    return Report(tables, sources, note)
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
@@ -205,22 +186,6 @@ def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
     for table, (kind, quantities) in of.items():
         for name, pairs in calibration_pairs(folders, KINDS[kind]).items():
             yield from (Source(table, name, quantity, k, pairs) for k, quantity in enumerate(quantities))
-
-
-def _without_each(folders: Sequence[RecordingFolder]) -> list[Calibration | None]:
-    """Of each recording: the calibration on the others, None where they have too few rows."""
-    calibrations: list[Calibration | None] = []
-    for left_out in folders:
-        try:
-            calibrations.append(systematic([folder for folder in folders if folder is not left_out]))
-        except UnusableInput:
-            calibrations.append(None)
-    return calibrations
-
-
-def _offset(value: float, sigma: float) -> str:
-    """A part of the place where the ranges of a tag end; none where the heading of its body is not known."""
-    return _term(value, sigma, sigma < DETERMINED * OFFSET_SIGMA) if sigma else MISSING
 
 
 def _term(value: float, sigma: float, determined: bool) -> str:
@@ -244,7 +209,7 @@ def _readings(source: Source, calibration: Calibration) -> Chart:
     seen = np.flatnonzero(np.isfinite(source.measured))
     true = pairs.true[seen, k]
     at = np.linspace(true.min(), true.max(), CURVE)
-    terms, covariance, _, _ = source.fit(calibration)
+    terms, covariance, _ = source.fit(calibration)
     if source.is_angle:
         # The curve of one angle is that at the median of the other.
         angles = np.repeat(np.median(pairs.true, axis=0)[None], CURVE, axis=0)
@@ -303,14 +268,10 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
     recordings, tables = calibration.recordings, report.tables
     counts = {name: len({row[0] for row in table.rows}) for name, table in tables.items() if name != "tags"}
     words = {"stations": "station", "anchors": "anchor", "differences": "anchor in range differences"}
-    of = [counted(count, words[name]) for name, count in counts.items()]
-    summary = f"Systematic errors of {listed(of)}, from recordings with truth: {listed(recordings, 12)}."
+    of = listed([counted(count, words[name]) for name, count in counts.items()])
+    summary = f"Systematic errors of {of}, from recordings with truth: {listed(recordings, 12)}."
     if len(recordings) < 2:
         summary += " With a second recording this page would show the errors of readings that were left out."
-    lacking = (
-        "Terms with a standard error of more than 0.7 of that before any recording: the tag moved over too small a "
-        "range of angles or distances, or the recordings are too short."
-    )
     figures: list[str | list[Chart]] = []
     for kind, (readings, floor) in calibration_charts(calibration, report).items():
         over = (
@@ -319,12 +280,7 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
         )
         figures += [f"Calibration of {kind}", readings, over, floor]
     most = f"Of the first {SHOWN} stations and anchors." if max(counts.values(), default=0) > SHOWN else ""
-    none = [] if report.undetermined else ["These recordings determine all terms."]
-    sections = [
-        *tables.values(),
-        Section("Not determined", ("source", "terms"), report.undetermined, 2, "" if none else lacking, parts=none),
-        Section("Figures", note=most, parts=figures),
-    ]
+    sections = [*tables.values(), Section("Figures", note=most, parts=figures)]
     title = f"Calibration on {counted(len(recordings), 'recording')}"
     use = f"trackwright track RECORDING --calibration {out} --out out/tracks"
     text = report_page("calibration", title, [summary, report.note], sections, [use, typed(command)])

@@ -18,7 +18,6 @@ import polars as pl
 from markupsafe import Markup
 
 from trackwright.experiments.monte_carlo.declaration import short
-from trackwright.experiments.pages.charts import style
 from trackwright.experiments.pages.charts.distributions import Curve, distribution
 from trackwright.experiments.pages.charts.floor import plan, track_paths, true_path
 from trackwright.experiments.pages.charts.residuals import boxes
@@ -48,9 +47,8 @@ from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, rea
 
 RESULTS = "results.json"
 LEVEL, WIDTH = 0.05, 150
-MOST_PLANS, MOST_TAGS, MOST_ROWS = 3, 4, 60
-"""Recordings with floor plans, of more the worst, the median and the best by the first run; tags of a plan; and rows of
-a chart of differences."""
+MOST_PLANS, MOST_TAGS = 3, 4
+"""Recordings with floor plans, of more the worst, the median and the best by the first run; and tags of a plan."""
 
 Key = tuple[str, str]
 """A subject and a metric: a recording, or the world, point and tracker of a study; "" for all recordings."""
@@ -125,12 +123,9 @@ def _read(folder: Path) -> tuple[str, dict[Key, Value]]:
     """What a folder holds, a study's results, positions or bearings, and the metrics; raises UnusableInput."""
     name = next((name for name in (RESULTS, EVALUATION) if (folder / name).is_file()), None)
     if name is None:
-        fix = (
-            f"write it with `trackwright evaluate {folder}`" if (folder / TRACKS).is_file() else "expected a folder of"
-        )
-        raise UnusableInput(
-            f"{folder}: no {EVALUATION} and no {RESULTS}; {fix} `trackwright study` or `trackwright track`"
-        )
+        fix = "expected a folder of `trackwright study` or `trackwright track`"
+        fix = f"write it with `trackwright evaluate {folder}`" if (folder / TRACKS).is_file() else fix
+        raise UnusableInput(f"{folder}: no {RESULTS} and no {EVALUATION}; {fix}")
     try:
         content = json.loads(file_bytes(folder / name))
         if name == RESULTS:
@@ -271,11 +266,11 @@ def lone_subjects(runs: Sequence[Run]) -> list[str]:
     ]
 
 
-def comparison_charts(runs: Sequence[Run], contrasts: Sequence[Contrast]) -> list[Chart]:
+def comparison_charts(runs: Sequence[Run]) -> list[Chart]:
     """The charts of the page, and of the files where these are asked for."""
     tracks = [run for run in runs if run.rows is not None]
     if not tracks:
-        return [_differences(contrasts)] if contrasts else []
+        return []
     # The tail of one run alone shall not set the axis.
     p95, p99 = (sorted(float(np.quantile(all_errors(run), share)) for run in tracks) for share in (0.95, 0.99))
     furthest = 1.02 * max(p95[-1], p99[-2:][0])
@@ -322,30 +317,6 @@ def _plans(runs: Sequence[Run]) -> Iterator[Chart]:
             truths = [truth for j in tags for truth in true_path(one, j)]
             title = ", ".join(filter(None, (run.name, names[place], why and f"{why} by {runs[0].name}")))
             yield plan(f"floor_plan-{names[place]}-{run.name}", title, paths, truths, one.folder.rig, False, width=5.0)
-
-
-def _differences(contrasts: Sequence[Contrast]) -> Chart:
-    """The first metric of studies with its intervals less the first study's."""
-    metric = next(
-        (m for m in ("rmse_m", "rmse_direction_rad") if any(c.metric == m for c in contrasts)), contrasts[0].metric
-    )
-    shown = [contrast for contrast in contrasts if contrast.metric == metric][:MOST_ROWS]
-    names, subjects = (list(dict.fromkeys(getattr(c, of) for c in shown)) for of in ("run", "subject"))
-    unit = unit_of(metric, [contrast.difference.first for contrast in shown])
-    parts = [style.rule(0, (-0.6, len(subjects) - 0.4), upright=True)]
-    for contrast in shown:
-        k, n, d = subjects.index(contrast.subject), names.index(contrast.run), contrast.difference
-        height, colour, size = (
-            k + 0.12 * (n - (len(names) - 1) / 2),
-            LINES[n % len(LINES)],
-            7.0 if contrast.differs else 3.0,
-        )
-        low, value, high = (unit.factor * x for x in (d.low, d.value, d.high))
-        parts.append(Line([low, high], [height] * 2, contrast.run if k == 0 else "", colour))
-        parts.append(Line([value], [height], "", colour, 0.0, marker="circle", size=size))
-    label, ends = f"{heading(metric, unit)}, less the first study's; large point: differs", (len(subjects) - 0.4, -0.6)
-    look: dict[str, Any] = {"yticks": dict(enumerate(subjects)), "height": 1.5 + 0.25 * len(subjects)}
-    return Chart("differences", "Differences", label, "", parts, ylim=ends, **look)
 
 
 def write_comparison(

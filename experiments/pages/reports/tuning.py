@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
+from typing import Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
@@ -18,7 +19,6 @@ from trackwright.experiments.pages.reports.pages import report_page
 from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import MISSING, duration, number, percent_change, uncapitalised, yes_no
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectory
@@ -28,7 +28,7 @@ from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue
 from trackwright.tuning.intervals import Interval
 from trackwright.tuning.named_objectives import all_metrics
-from trackwright.tuning.parameters import Parameter, component_names
+from trackwright.tuning.parameters import component_names
 from trackwright.tuning.sweeping import Surface, surface_of
 
 TITLES = {
@@ -39,15 +39,12 @@ TITLES = {
 }
 """Title and unit of each metric of `tuning.named_objectives`; without a unit it has that of the truth."""
 
-SAME = 0.1
-"""The relative difference of values up to which two starts end at one point, as the optimiser has it."""
-
-WORSE, WORSE_BY = 0.02, 0.01
-"""The increase above which a metric counts as worse: relative, and in nats, which have no natural zero."""
+SAME, WORSE, WORSE_BY = 0.1, 0.02, 0.01
+"""The relative difference of values up to which two starts end at one point, and the increase above which a metric
+counts as worse: relative, and in nats, which have no natural zero."""
 
 
-@dataclass(frozen=True)
-class TunedParameter:
+class TunedParameter(NamedTuple):
     """A parameter before and after; `low`, `high`: its 95 % interval, NaN where there is none.
 
     `determined`: whether the recordings determine it; None where the objective has no information on that. `spread`:
@@ -64,12 +61,8 @@ class TunedParameter:
     spread: str = ""
 
 
-@dataclass(frozen=True)
-class MetricChange:
-    """A metric before and after, on the recordings tuned on and on those held out; NaN where missing.
-
-    `key`: its name, as `rmse`; lower is better.
-    """
+class MetricChange(NamedTuple):
+    """A metric before and after, on the recordings tuned on and on those held out; `key`: its name, as `rmse`."""
 
     key: str
     title: str
@@ -82,11 +75,9 @@ class MetricChange:
 class TuningReportData:
     """Everything that a tuning report shows.
 
-    `tracker`, `objective`: names, `tracker_about`, `objective_about`: the same in words. `training`, `held_out`: names
-    of recordings. `traces`: one per start, the best first. `innovations`: before and after, of held-out recordings if
-    there are any. `compared`: recordings before and after, in the figures of `evaluate`; `plans`: their tracks.
-    `cautions`: clauses of the fit on itself. `issues`: sentences on undetermined parameters. `notes`: sentences on
-    irregularities of the run. `commands`: to use the result and to repeat the run.
+    `traces`: one per start, the best first. `innovations`: before and after, of held-out recordings if there are any.
+    `compared`: recordings before and after, in the figures of `evaluate`; `plans`: their tracks. `cautions`: clauses of
+    the fit on itself. `issues`: sentences on undetermined parameters. `notes`: sentences on irregularities of the run.
     """
 
     objective: str
@@ -138,17 +129,15 @@ def _sections(data: TuningReportData) -> Iterator[Section]:
     some = [f"{shown} of {data.plans.total} tracks are shown."] if 0 < shown < data.plans.total else []
     yield Section("Floor plans before and after", note=lead, parts=[plans, *some])
     yield _metrics_section(data)
-    yield _optimisation(data)
+    if data.traces:
+        yield _optimisation(data)
     if data.innovations is not None and min(len(side.nis) for side in data.innovations):
-        lead = (
-            "For a consistent filter the normalised innovation squared (NIS) follows a known distribution, χ² for "
-            "normal noise, and is uncorrelated between rows. "
-        )
+        lead = "For a consistent filter NIS is distributed as the line says and uncorrelated between rows. "
         yield Section("Consistency of the filter", note=lead + on, parts=[charts.innovation_charts(*data.innovations)])
     errors = [e for e in data.plans.errors if np.isfinite(e.before).any() and np.isfinite(e.after).any()]
     if errors:
         over_time = charts.error_charts(errors, data.error_unit)
-        few = f", for the {len(over_time)} trajectories that changed most" if len(over_time) < len(errors) else ""
+        few = f", for the {len(over_time)} trajectories that changed most" * (len(over_time) < len(errors))
         pooled = [charts.rmse_chart(errors, data.error_unit), charts.distribution_chart(errors, data.error_unit)]
         yield Section("Errors against truth", note=on, parts=[pooled, f"Over time{few}:", over_time])
 
@@ -169,40 +158,32 @@ def _parameters_section(parameters: Sequence[TunedParameter]) -> Section:
 
 
 def _metrics_section(data: TuningReportData) -> Section:
-    lead = (
-        "All metrics, not only the objective; lower is better. Every row counts, as in the objective; in the table of "
-        "recordings and the charts of errors, rows of the same time count once."
-    )
+    lead = "Lower is better. Every row counts, as in the objective; elsewhere rows of the same time count once."
     sides, rows = ["tuned on: ", "held out: "] if data.held_out else [""], []
     for m in data.metrics:
         title = m.title + ("" if m.unit == "1" else f", {m.unit}") + " (objective)" * (m.key == data.objective)
         pairs = [m.training, m.held_out][: len(sides)]
-        rows.append([title, *(cell for pair in pairs for cell in (*map(number, pair), changed(m, pair)))])
+        rows.append([title, *(cell for pair in pairs for cell in (*map(number, pair), changed(m.unit, *pair)))])
     head = ["metric", *(side + word for side in sides for word in ("before", "after", "change"))]
     return Section("Metrics before and after", head, rows, 1, lead)
 
 
-def changed(metric: MetricChange, pair: tuple[float, float]) -> str:
+def changed(unit: str, before: float, after: float) -> str:
     """The change as a difference or in per cent where that has a meaning, and as a word where it matters."""
-    before, after = pair
-    if not all(map(math.isfinite, pair)) or before == after:
-        return "same" if before == after else MISSING
+    if not (math.isfinite(before) and math.isfinite(after)):
+        return MISSING
     # Log-densities have no natural zero.
-    nats = metric.unit == "nats"
+    nats = unit == "nats"
     text = ("+" if after > before else "") + number(after - before) if nats else percent_change(before, after)
-    text, least = "" if metric.unit == "1" else text, WORSE_BY if nats else WORSE * min(before, after)
-    if abs(after - before) <= least:
+    if abs(after - before) <= (WORSE_BY if nats else WORSE * min(before, after)):
         return text or "same"
-    word, text = ("worse", f"{text} worse".strip()) if after > before else ("better", text or "better")
-    return Markup('<span class="{}">{}</span>').format(word, text)
+    word = "worse" if after > before else "better"
+    return Markup('<span class="{}">{} {}</span>').format(word, "" if unit == "1" else text, word)
 
 
 def _optimisation(data: TuningReportData) -> Section:
-    if not data.traces:
-        return Section("Optimisation")
-    lead = [agreement(data.traces)] if len(data.traces) > 1 else []
-    if data.held_out:
-        lead.append("The selected point has the least objective on the held-out recordings.")
+    lead = agreement(data.traces) if len(data.traces) > 1 else ""
+    lead += " The selected point has the least objective on the held-out recordings." if data.held_out else ""
     step = charts.selected_step(data.traces[0], [p.after for p in data.parameters])
     first = [charts.objective_chart(data.traces, data.objective_about, step)]
     if data.surface is not None:
@@ -210,7 +191,7 @@ def _optimisation(data: TuningReportData) -> Section:
         labels, best = [named(p.name, p.unit) for p in known], [p.after for p in known]
         first.append(charts.surface_chart(data.surface, labels, best, data.objective_about, data.traces))
     others = [charts.parameter_chart(data.traces, k, p.name, p.unit) for k, p in enumerate(data.parameters)]
-    return Section("Optimisation", note=" ".join(lead), parts=[first, others])
+    return Section("Optimisation", note=lead, parts=[first, others])
 
 
 def agreement(traces: Sequence[OptimiserTrace]) -> str:
@@ -219,13 +200,9 @@ def agreement(traces: Sequence[OptimiserTrace]) -> str:
     values = np.stack([t.values[np.argmin(of)] for t, of in zip(traces, least, strict=True)])
     away = np.abs(values - values[0]) / np.maximum(np.abs(values[0]), np.finfo(float).tiny)
     same = away.max(axis=1) <= SAME
-    if same.all():
-        return f"All {len(same)} starts end at one point (values within a tenth)."
     lower = sum(of.min() < least[0].min() for of, one in zip(least, same, strict=True) if not one)
-    return (
-        f"{same.sum()} of {counted(len(same), 'start')} end at the selected point (values within a tenth); "
-        f"{(~same).sum()} end elsewhere, {lower or 'none'} with a lower objective: the optimum is not certain."
-    )
+    text = f"{same.sum()} of {counted(len(same), 'start')} end at the selected point (values within a tenth)"
+    return text + (f", {lower or 'none'} elsewhere with a lower objective." if lower or not same.all() else ".")
 
 
 def advice_on(data: TuningReportData) -> tuple[str, str, list[str]]:
@@ -246,7 +223,7 @@ def advice_on(data: TuningReportData) -> tuple[str, str, list[str]]:
         sentence += f"; the recordings determine {count}{counted(len(known), 'parameter')}"
     # A clause that begins with the name of a parameter keeps its case.
     sentence, *cautions = (
-        (text if "." in text.split(" ", 1)[0] else text[0].upper() + text[1:]) + "."
+        f"{text if '.' in text.split(' ', 1)[0] else text[0].upper() + text[1:]}."
         for text in (sentence, *data.cautions)
     )
     if data.compared is None:
@@ -273,25 +250,36 @@ def collect(
     # The metric `rmse` is the horizontal error; the 3-D error has a name of its own.
     objective = "rmse-3d" if objective == "rmse" and data.dimensions == 3 else objective
     title, own_unit = TITLES.get(objective, (objective, "1"))
-    about = objective if objective not in TITLES else f"{uncapitalised(title)} ({own_unit or unit})"
-    trackers = (result.before, result.tracker)
-    runs = [_runs(tracker, held_out or data.training) for tracker in trackers]
+    trackers, runs = (result.before, result.tracker), []
+    for tracker in trackers:
+        grouped = [(group, tracker.for_positions().run(batch)) for group, batch in batches(held_out or data.training)]
+        runs.append([of[k][: len(one.recording)] for group, of in grouped for k, one in enumerate(group)])
     before, after = (innovations_of(tracker, of) for tracker, of in zip(trackers, runs, strict=True))
     innovations = None if before is None or after is None else (before, after)
     # A beam in a flat array's own plane has no direction: nothing to compare with the truth.
     comparable = all(hasattr(run.mean, quantity) for of_tracker in runs for run in of_tracker)
     # A sum of several metrics, or with priors, is a metric of its own.
     pair = result.start_value, result.value
-    own = [] if objective in TITLES else [MetricChange(objective, objective, "1", pair, (math.nan,) * 2)]
+    metrics = [] if objective in TITLES else [MetricChange(objective, objective, "1", pair, (math.nan,) * 2)]
+    values = []
+    for apart in (False, True):
+        rows = [b if comparable else b._replace(truth={}) for b in data.rows(apart)]
+        given = rows, quantity, data.dimensions
+        values.append([all_metrics(t, *given, weights=data.weights(apart)) if rows else {} for t in trackers])
+    for key, (full, own) in TITLES.items():
+        pairs = [(old.get(key, np.nan), new.get(key, np.nan)) for old, new in values]
+        if np.isfinite(pairs).any():
+            full = f"Horizontal {full}" if key == "rmse" and data.dimensions == 3 else full
+            metrics.append(MetricChange(key, full, own or unit, pairs[0], pairs[1]))
     notes = ["The held-out recordings were used to select the best point and to stop the fit."] if held_out else []
     notes += [] if innovations else ["NIS is not shown: for this tracker its distribution is unknown."]
     return TuningReportData(
         objective=objective,
-        objective_about=about,
+        objective_about=objective if objective not in TITLES else f"{uncapitalised(title)} ({own_unit or unit})",
         training=recording_names(data.training),
         held_out=recording_names(held_out),
         parameters=tuned_parameters(result, intervals, issues),
-        metrics=(*own, *_metrics(trackers, data, quantity, comparable, unit)),
+        metrics=tuple(metrics),
         traces=traces_of(result),
         surface=surface_of(result),
         innovations=innovations,
@@ -302,28 +290,6 @@ def collect(
     )
 
 
-def _runs(tracker: AbstractTracker, trajectories: Sequence[Trajectory]) -> list:
-    """The tracker's estimates of each trajectory, without padding, by the compiled program of the recordings."""
-    grouped = [(group, tracker.for_positions().run(batch)) for group, batch in batches(trajectories)]
-    return [estimates[k][: len(one.recording)] for group, estimates in grouped for k, one in enumerate(group)]
-
-
-def _metrics(
-    trackers: Sequence[AbstractTracker], data: FitData, quantity: str, comparable: bool, unit: str
-) -> Iterator[MetricChange]:
-    """All defined metrics before and after, on the recordings tuned on and on those held out."""
-    values, dimensions = [], data.dimensions
-    for apart in (False, True):
-        rows = [b if comparable else b._replace(truth={}) for b in data.rows(apart)]
-        given = rows, quantity, dimensions
-        values.append([all_metrics(t, *given, weights=data.weights(apart)) if rows else {} for t in trackers])
-    for key, (title, own_unit) in TITLES.items():
-        pairs = [(old.get(key, np.nan), new.get(key, np.nan)) for old, new in values]
-        if np.isfinite(pairs).any():
-            full = f"Horizontal {title}" if key == "rmse" and dimensions == 3 else title
-            yield MetricChange(key, full, own_unit or unit, pairs[0], pairs[1])
-
-
 def tuned_parameters(
     result: FitResult, intervals: Mapping[str, Interval], issues: Sequence[IdentifiabilityIssue] = ()
 ) -> tuple[TunedParameter, ...]:
@@ -332,35 +298,30 @@ def tuned_parameters(
     none = {label: (np.full(np.shape(x), np.nan),) * 2 for label, x in result.values.items()} | {**intervals}
     ends = ({label: pair[k] for label, pair in none.items()} for k in (0, 1))
     before = (result.starts or [result.trace])[0][0].values
-    numbers = np.stack([_flat(result.parameters, values) for values in (before, result.values, *ends)])
-    finite = np.isfinite(numbers[2:]).all(axis=0)
+    numbers = np.stack([_flat(result, values) for values in (before, result.values, *ends)])
+    finite, made = np.isfinite(numbers[2:]).all(axis=0), []
     numbers[2:, ~finite] = np.nan
-    made, of_numbers = [], (p for p in result.parameters for _ in range(p.size))
-    for name, p, values, ok in zip(names, of_numbers, numbers.T.tolist(), finite.tolist(), strict=True):
+    parameters = [p for p in result.parameters for _ in range(p.size)]
+    for name, p, values, ok in zip(names, parameters, numbers.T.tolist(), finite.tolist(), strict=True):
         # Without any interval it is unknown what is determined; with some, a parameter without one is undetermined.
         determined = False if name in undetermined else ok if finite.any() else None
         words, spread = "", implied_spread(result.tracker, p.names[0]) if p.size == 1 else None
         if spread is not None:
             form = "standard deviation {}" if spread.is_deviation else "68 % of the readings within ± {}"
             words = form.format(f"{number(spread.value)} {p.example.unit}")
-        made.append(TunedParameter(name, p.example.unit, *values[:4], determined, words))  # type: ignore[arg-type]
+        made.append(TunedParameter._make((name, p.example.unit, *values, determined, words)))
     return tuple(made)
 
 
-def _flat(parameters: Sequence[Parameter], values: Mapping[str, np.ndarray]) -> np.ndarray:
-    return np.concatenate([np.ravel(np.asarray(values[p.label], float)) for p in parameters])
+def _flat(result: FitResult, values: Mapping[str, Any]) -> np.ndarray:
+    return np.concatenate([np.ravel(np.asarray(values[p.label], float)) for p in result.parameters])
 
 
 def traces_of(result: FitResult) -> tuple[OptimiserTrace, ...]:
     """The steps of all starts, the best first."""
     ordered = sorted(result.starts or [result.trace], key=lambda steps: steps is not result.trace)
-    return tuple(
-        OptimiserTrace(
-            np.array([step.value for step in steps]),
-            np.stack([_flat(result.parameters, step.values) for step in steps]),
-        )
-        for steps in ordered
-    )
+    columns = (([step.value for step in steps], [_flat(result, step.values) for step in steps]) for steps in ordered)
+    return tuple(OptimiserTrace(np.array(objective), np.stack(values)) for objective, values in columns)
 
 
 def recording_names(trajectories: Sequence[Trajectory]) -> tuple[str, ...]:

@@ -262,7 +262,7 @@ def test_the_axes_of_a_sweep_over_two_numbers_end_where_the_grid_does(tmp_path, 
 def test_floor_plans_of_a_comparison_are_of_the_worst_the_median_and_the_best_by_the_first_run():
     first = small_run("uwb", {"a": 0.2, "b": 0.9, "c": 0.1, "d": 0.5, "e": 0.3})
     second = small_run("median", {"b": 0.1, "c": 0.8, "d": 0.7, "e": 0.6, "a": 0.5})
-    plans = [chart for chart in comparison_charts([first, second], []) if "plan" in chart.name]
+    plans = [chart for chart in comparison_charts([first, second]) if "plan" in chart.name]
     assert [chart.name for chart in plans] == [f"floor_plan-{n}-{run}" for n in "bec" for run in ("uwb", "median")]
     assert plans[0].title == "uwb, b, worst of 5, RMSE 90 cm by uwb"
     assert {*_lines(plans[0])} == {"truth", "estimates", "start", "end", "anchor"}
@@ -274,7 +274,7 @@ def test_the_tail_of_one_run_does_not_set_the_axis_of_errors():
     last = pl.int_range(len(bad.rows)) == len(bad.rows) - 1
     bad = replace(bad, rows=bad.rows.with_columns(size_m=pl.when(last).then(50.0).otherwise("size_m")))
     for runs in ([good, bad], [bad, good]):
-        distributions, boxes = comparison_charts(runs, [])[:2]
+        distributions, boxes = comparison_charts(runs)[:2]
         assert distributions.limits("x")[1] < 25  # cm
         assert boxes.limits("y")[1] < 25
         assert {*_lines(distributions)} == {"good", "bad, 3.3 % beyond"}

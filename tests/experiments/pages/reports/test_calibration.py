@@ -19,7 +19,7 @@ def _source(true, error, positions=None, number=None):
 def _charts(source):
     """The chart of readings and the one over the floor, of an anchor without errors."""
     calibration = Calibration(anchors={"A": AnchorCalibration(np.zeros(2), np.eye(2), np.array([0.0, 9.0]))})
-    ((readings,), (floor,)) = calibration_charts(calibration, Report({}, [], [source], ""))["anchors"]
+    ((readings,), (floor,)) = calibration_charts(calibration, Report({}, [source], ""))["anchors"]
     return readings, floor
 
 

@@ -11,7 +11,6 @@ from tests.experiments.pages.reports.tuning_report_data import innovations, repo
 from trackwright.experiments.pages.reports.before_after import NO_PLANS, Compared, Verdict
 from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.tuning import (
-    MetricChange,
     OptimiserTrace,
     TunedParameter,
     advice_on,
@@ -151,7 +150,7 @@ def test_what_the_recordings_do_not_determine_is_said_in_words(changes, words):
 
 def test_a_run_without_truth_held_out_recordings_starts_or_intervals_has_a_page_too():
     nan = (float("nan"),) * 2
-    scores = tuple(MetricChange(**(vars(s) | {"held_out": nan})) for s in report_data().metrics if s.key != "rmse")
+    scores = tuple(s._replace(held_out=nan) for s in report_data().metrics if s.key != "rmse")
     numbers = (TunedParameter("motion.sigma_a", "1", 0.05, 0.1),)
     bare = report_data(
         metrics=scores, held_out=(), parameters=numbers, plans=NO_PLANS, innovations=None, surface=None, traces=()
@@ -218,11 +217,7 @@ def test_how_many_starts_end_at_one_point_is_said_and_whether_another_is_lower()
         return OptimiserTrace(np.array([9.0, objective]), np.array([[5.0, 5.0], end]))
 
     near, far, lower = start([1.05, 2.0], 1.0), start([1.0, 2.5], 1.2), start([3.0, 2.0], 0.5)
-    assert agreement([start([1.0, 2.0], 1.0), near]) == "All 2 starts end at one point (values within a tenth)."
-    one_of_three = agreement([start([1.0, 2.0], 1.0), far, lower])
-    assert one_of_three.startswith(
-        "1 of 3 starts end at the selected point (values within a tenth); 2 end elsewhere, 1 "
-    )
-    assert one_of_three.endswith("1 with a lower objective: the optimum is not certain.")
-    assert "2 of 3 starts" in agreement([start([1.0, 2.0], 1.0), near, far])
-    assert "none with a lower objective" in agreement([start([1.0, 2.0], 1.0), near, far])
+    at = "end at the selected point (values within a tenth)"
+    assert agreement([start([1.0, 2.0], 1.0), near]) == f"2 of 2 starts {at}."
+    assert agreement([start([1.0, 2.0], 1.0), far, lower]) == f"1 of 3 starts {at}, 1 elsewhere with a lower objective."
+    assert agreement([near, near, far]) == f"2 of 3 starts {at}, none elsewhere with a lower objective."
