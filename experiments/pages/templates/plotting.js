@@ -34,7 +34,7 @@ function drawChart(place, { data, layout, height }) {
   const longest = Math.max(...data.map(({ name, showlegend }) => showlegend ? name.length : 0));
   const abreast = Math.max(1, Math.floor((place.clientWidth - 60) / (45 + 6.5 * longest)));
   const above = 20 * Math.ceil(data.filter((trace) => trace.showlegend).length / abreast);
-  place.style.aspectRatio = 1 / height;
+  place.style.height = `${Math.max(240, Math.min(place.clientWidth * height, 430)) + above}px`;
   Plotly.react(place, traces, layoutOf({ ...layout, margin: { l: 50, r: 12, t: 16 + above, b: 44 } }), CONFIG);
 }
 
