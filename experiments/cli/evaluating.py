@@ -12,7 +12,7 @@ import polars as pl
 
 from trackwright.experiments.cli.console import output_folder, read_with_notices
 from trackwright.experiments.cli.options import EvaluateOptions, require_output
-from trackwright.experiments.text.evaluation_text import content, to_json, to_text
+from trackwright.experiments.text.evaluation_text import content, pose_errors_text, to_json, to_text
 from trackwright.experiments.text.tables import sections_text, terminal_width
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput, near
@@ -135,7 +135,6 @@ def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions
         for folder in (folder for folder in folders if folder.rig.places() and poses.align is None):
             for result in check_units(folder.rig, {"fixes": tracks.filter(pl.col("recording") == folder.name)}):
                 notice(f"notice: {source}: {result.message}")
-    from trackwright.experiments.pages.reports.evaluate_text import pose_errors_text
     from trackwright.trackers.exchange.estimates import compare_tracks, pooled, pooled_names
 
     steps = poses.rpe or DEFAULT_STEPS

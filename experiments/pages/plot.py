@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import wraps
+from functools import update_wrapper
 from html import escape
-from inspect import Parameter, Signature, signature
+from inspect import Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from trackwright.experiments.pages.charts import recording as charts
 from trackwright.experiments.pages.charts.style import Chart
 from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.track import run_data, track_page
-from trackwright.experiments.pages.scored_tracks import AnyEstimates, AnyRecording, ScoredRecording, scored_tracks
+from trackwright.experiments.pages.scored_tracks import AnyEstimates, AnyRecording, scored_tracks
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.rows import is_scored
@@ -36,30 +36,23 @@ def _plot(chart: Callable[..., Chart], truth: bool = True, bearings: bool = Fals
     `truth`: whether it needs one; `bearings`: whether it can show them.
     """
 
-    def scored(estimates: AnyEstimates, recording: AnyRecording | None) -> ScoredRecording:
-        made = scored_tracks(estimates, recording, truth).recordings[0]
-        if made.angles and not bearings:
-            raise UnusableInput(f"{chart.__name__}: found bearings; expected estimates of positions")
-        if truth and not made.scored.any():
-            raise UnusableInput(f"{chart.__name__}: no estimate has a truth at its time")
-        return made
-
-    @wraps(chart)
-    def plot(
-        estimates: Any, recording: AnyRecording | None = None, *more: Any, ax: Axes | None = None, **named: Any
-    ) -> Axes:
+    def plot(estimates: Any, recording: AnyRecording | None = None, *more: Any, ax: Any = None, **named: Any) -> Axes:
         from trackwright.experiments.pages.charts.drawing import draw
 
         several = isinstance(estimates, Mapping)
-        runs = {name: scored(run, recording) for name, run in (estimates if several else {"": estimates}).items()}
+        runs = {}
+        for name, run in (estimates if several else {"": estimates}).items():
+            runs[name] = scored = scored_tracks(run, recording, truth).recordings[0]
+            if scored.angles and not bearings:
+                raise UnusableInput(f"{chart.__name__}: found bearings; expected estimates of positions")
+            if truth and not scored.scored.any():
+                raise UnusableInput(f"{chart.__name__}: no estimate has a truth at its time")
         return draw(chart(runs if several else runs[""], *more, **named), ax)
 
-    own, (estimates, recording, *_) = (
-        signature(chart).parameters,
-        signature(plot, follow_wrapped=False).parameters.values(),
-    )
-    beside = Parameter("ax", Parameter.KEYWORD_ONLY, default=None)
-    setattr(plot, "__signature__", Signature([estimates, recording, *[*own.values()][1:], beside]))  # noqa: B010
+    # The estimates and their recording take the place of the scored ones.
+    first, own = signature(plot).parameters, [*signature(chart).parameters.values()][1:]
+    shown = [first["estimates"], first["recording"], *own, first["ax"]]
+    setattr(update_wrapper(plot, chart), "__signature__", Signature(shown))  # noqa: B010
     return plot
 
 

@@ -17,7 +17,6 @@ from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.data.seconds import zero_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.evaluation.bounds import bounds_of
 from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
@@ -192,20 +191,15 @@ class ScoredTracks:
         made = []
         for k, folder in enumerate(self.folders):
             own = (one.tracker for one in self.batches if any(part.folder is folder for part in one.trajectories))
-            rows, batches = (
-                self.rows.filter(pl.col("recording") == folder.name),
-                self.batches if k in self.drawn else (),
-            )
-            made.append(ScoredRecording(folder, rows, _noise_of(next(own, None)), batches))
+            rows = self.rows.filter(pl.col("recording") == folder.name)
+            try:
+                tracker = next(own, None)
+                nu = math.nan if tracker is None else student_t_dof_of(tracker)
+            except ValueError:
+                nu = math.nan
+            nu = None if nu is None else float(np.asarray(nu))
+            made.append(ScoredRecording(folder, rows, nu, self.batches if k in self.drawn else ()))
         return made
-
-
-def _noise_of(tracker: AbstractTracker | None) -> float | None:
-    try:
-        nu = math.nan if tracker is None else student_t_dof_of(tracker)
-    except ValueError:
-        return math.nan
-    return None if nu is None else float(np.asarray(nu))
 
 
 def rmse_by(rows: pl.DataFrame, key: str) -> np.ndarray:
@@ -245,7 +239,7 @@ def drawn_of(rmse: np.ndarray, angles: bool, most: int = DRAWN) -> dict[int, str
 
     All of few; of more than `most` the worst, the median and the best, or the first where fewer than three have a RMSE.
     """
-    ranked = [int(k) for k in np.argsort(-np.nan_to_num(rmse, nan=-1.0), kind="stable") if np.isfinite(rmse[k])]
+    ranked = [k for k in np.argsort(-np.nan_to_num(rmse, nan=-1.0), kind="stable").tolist() if np.isfinite(rmse[k])]
     if len(rmse) <= most or len(ranked) < 3:
         return dict.fromkeys(range(min(len(rmse), most)), "")
     unit, scale = ("°", 180 / np.pi) if angles else length_unit(float(rmse[ranked[0]]))

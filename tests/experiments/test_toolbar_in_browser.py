@@ -89,4 +89,5 @@ def test_no_chart_of_any_page_can_be_uploaded_and_a_phone_has_no_toolbar(page_of
             assert found["links"] == []
             assert not [one for one in found["words"] if UPLOADS.search(one)]
             assert (found["visible"] > 0) == (width > 600)
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
             assert not errors

@@ -10,20 +10,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import matplotlib.artist
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from trackwright.experiments.pages.charts.style import GREY, INK, Chart, Field, Line
 from trackwright.trackers.recordings.atomic import atomic_write
-
-# Matplotlib writes the list of properties into the help of every class of artists as it is imported: a tenth of a
-# second, for a help that no command shows.
-matplotlib.artist.kwdoc = lambda artist: ""
-
-from matplotlib import rc_context  # noqa: E402
-from matplotlib.axes import Axes  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
-from matplotlib.ticker import LogLocator, NullLocator  # noqa: E402
 
 SYMBOLS = {"circle": "o", "square": "s", "diamond": "D", "triangle-up": "^", "triangle-down": "v", "line-ns-open": "|"}
 DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}

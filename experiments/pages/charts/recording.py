@@ -160,19 +160,17 @@ def nees_over_time(scored: ScoredRecording) -> Chart:
 
     Raises UnusableInput without truth.
     """
-    return _consistency(scored, float_column(scored.rows, "nees"), np.full(len(scored.rows), 2.0), "NEES")
+    return _consistency(scored, "NEES", np.full(len(scored.rows), 2.0), "slow", None)
 
 
 def nis_over_time(scored: ScoredRecording) -> Chart:
     """The mean of the NIS per degree of freedom over time, with its band where its distribution is known."""
-    nis, dof = (float_column(scored.rows, name) for name in ("nis", "nis_dof"))
-    return _consistency(scored, nis, dof, "NIS", scored.student_t_dof)
+    return _consistency(scored, "NIS", float_column(scored.rows, "nis_dof"), "slow_nis", scored.student_t_dof)
 
 
-def _consistency(
-    scored: ScoredRecording, values: np.ndarray, dof: np.ndarray, name: str, nu: float | None = None
-) -> Chart:
-    """Means of NEES or NIS (n,) over the rows of all tracks in windows of time; `nu`: as `student_t_dof`."""
+def _consistency(scored: ScoredRecording, name: str, dof: np.ndarray, slow: str, nu: float | None) -> Chart:
+    """Means of NEES or NIS over the rows of all tracks in windows of time; `slow`: rows with the information of one."""
+    values, of_one = (float_column(scored.rows, column) for column in (name.lower(), slow))
     known = np.flatnonzero(np.isfinite(values) & (dof > 0))
     order, law, parts, note = known[np.argsort(scored.times[known], kind="stable")], law_of(nu), list[Line](), ""
     if len(order):
@@ -180,12 +178,11 @@ def _consistency(
         total, freedom = (np.array([x[rows].sum() for rows in windows]) for x in (values, dof))
         at = np.array([scored.times[rows].mean() for rows in windows]) - scored.zero
         if law:
-            # So many rows carry the information of one.
-            slow = float_column(scored.rows, "slow" if name == "NEES" else "slow_nis")[order]
-            ends = nis_band(freedom / max(1.0, float(np.nanmean(slow)) if np.isfinite(slow).any() else 1.0), nu)
+            several = of_one[order][np.isfinite(of_one[order])]
+            ends = nis_band(freedom / max(1.0, float(several.mean()) if len(several) else 1.0), nu)
             parts.append(band(at, *ends, "95 % band, rows as correlated as these"))
-        parts.append(rule(1.0, (at[0], at[-1])))
-        parts.append(Line(at, total / freedom, f"mean of {len(windows[0])} rows", marker="circle", size=3))
+        mean = Line(at, total / freedom, f"mean of {len(windows[0])} rows", marker="circle", size=3)
+        parts += [rule(1.0, (at[0], at[-1])), mean]
         note = f"Mean {total.sum() / freedom.sum():.2f}, 1 expected{f' ({law})' if law else ''}."
     labels = f"{name.lower()}-over-time", f"{name} over time", time_label(scored.zero), f"{name} / dof"
     return Chart(*labels, parts, robust=True, log="y", note=note, **WIDE)
@@ -219,20 +216,20 @@ def bearing_over_time(
     times, reference = scored.times[rows] - scored.zero, truth[known] if known.any() else part.values[rows]
     turned = np.radians(reference[np.isfinite(reference)])
     middle = float(np.degrees(np.angle(np.exp(1j * turned).sum())))
+
+    def about(degrees: np.ndarray) -> np.ndarray:
+        """Within half a turn of the middle, NaN at jumps: no line crosses the axes where an angle turns."""
+        within = middle + 180 - (180 - (degrees - middle)) % 360
+        return np.where(np.append(np.abs(np.diff(within)) > 180, False), np.nan, within)
+
     at, shown, sigma = broken_at_gaps(times, part.values[rows], part.sigmas[rows])
-    shown = _about(middle, shown)
+    shown = about(shown)
     lines = [band(at, shown - 3 * sigma, shown + 3 * sigma, "reported ± 3 σ"), Line(at, shown, "estimate", width=0.9)]
     if known.any():
         at, true = broken_at_gaps(times[known], truth[known])
-        lines.append(Line(at, _about(middle, true), "truth", style.BLACK, 1.0, "dash"))
+        lines.append(Line(at, about(true), "truth", style.BLACK, 1.0, "dash"))
     label = time_label(scored.zero), f"{part.name} (°)"
     return Chart("bearings", "Bearing over time", *label, lines, robust=True, **WIDE)
-
-
-def _about(middle: float, degrees: np.ndarray) -> np.ndarray:
-    """The angles within half a turn of `middle`, NaN at jumps: no line crosses the axes where an angle turns."""
-    within = middle + 180 - (180 - (degrees - middle)) % 360
-    return np.where(np.append(np.abs(np.diff(within)) > 180, False), np.nan, within)
 
 
 def track_number(scored: ScoredRecording, tag: str | None, station: str | None = None) -> int:

@@ -59,7 +59,6 @@ class Verdict(NamedTuple):
 
 
 def _changed(change: Difference) -> str:
-    """Both values and their difference with its interval, nats."""
     interval = f"95 % interval {change.low:+.2f} to {change.high:+.2f}"
     if not np.isfinite(change.low):
         interval = f"no interval: too short, {counted(change.pieces, 'piece')} of time longer than errors last"
@@ -67,7 +66,6 @@ def _changed(change: Difference) -> str:
 
 
 def _content(change: Difference | None) -> dict[str, Any]:
-    """A change of the log density, nats, as tuned.toml holds it."""
     if change is None:
         return {}
     named = {"before": change.first, "after": change.second, "low_95": change.low, "high_95": change.high}
@@ -149,45 +147,29 @@ def compare(
     verdict = Verdict(None, {}, why_not) if why_not else judge(sides, 3 if suffix else 2)
     shown = [(old["recording"], old, new, verdict.recordings.get(old["recording"])) for old, new in pairs]
     if len(pairs) > 1:
-        means = [
-            {key: _mean([side[key] for side in of]) for key, _, _ in columns.values()}
-            for of in zip(*pairs, strict=True)
+        # Each with the same weight; none where a recording has no value.
+        means = pl.col([key for key, _, _ in columns.values()]).cast(pl.Float64).fill_null(np.nan).mean()
+        sides_of = (pl.DataFrame(of, infer_schema_length=None) for of in (before.recordings, after.recordings))
+        old, new = (table.select(means).row(0, named=True) for table in sides_of)
+        shown.append((f"mean of {len(pairs)}", old, new, verdict.change))
+    rows = []
+    for name, old, new, change in shown:
+        cells = [
+            " → ".join(fixed(None if side[key] is None else factor * side[key], digits) for side in (old, new))
+            for key, factor, digits in columns.values()
         ]
-        shown.append((f"mean of {len(pairs)}", means[0], means[1], verdict.change))
-    rows = [
-        [
-            name,
-            *(_arrow((old[key], new[key]), factor, digits) for key, factor, digits in columns.values()),
-            *_density(change),
-        ]
-        for name, old, new, change in shown
-    ]
+        density = ["– → –", "–"]
+        if change is not None:
+            half = f"{change.high - change.value:.2f}" if np.isfinite(change.low) else "?"
+            density = [f"{change.first:.2f} → {change.second:.2f}", f"{change.value:+.2f} ± {half}"]
+        rows.append([name, *cells, *density])
     head = ("recording", *columns, "log density, nats", "difference, 95 %")
     note = "Tracked as by `track`. Regret: nats of the log density that the scale of the covariances loses."
     title, looks = f"{about[0].upper()}{about[1:]}, before → after", dict.fromkeys(head[1:], "after")
     section = Section(title, head, rows, 1, note, looks, covariance_statements(after.overall, after.recordings))
-    metrics = {
-        name: {key: (old[key], new[key]) for key, _, _ in columns.values()} for name, old, new, _ in shown[: len(pairs)]
-    }
+    keys = [key for key, _, _ in columns.values()]
+    metrics = {old["recording"]: {key: (old[key], new[key]) for key in keys} for old, new in pairs}
     return Compared(about, section, verdict, metrics)
-
-
-def _arrow(pair: Pair, factor: float, digits: int) -> str:
-    return " → ".join(fixed(None if value is None else factor * value, digits) for value in pair)
-
-
-def _density(change: Difference | None) -> tuple[str, str]:
-    """The log density before and after, and its difference with half its 95 % interval."""
-    if change is None:
-        return "– → –", "–"
-    half = f"{change.high - change.value:.2f}" if np.isfinite(change.low) else "?"
-    return f"{change.first:.2f} → {change.second:.2f}", f"{change.value:+.2f} ± {half}"
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    """The mean over recordings, each with the same weight; None where one has no value."""
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if len(known) == len(values) else None
 
 
 class ErrorTrack(NamedTuple):

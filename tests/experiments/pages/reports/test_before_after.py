@@ -8,11 +8,9 @@ import pytest
 from scipy import stats
 
 import trackwright as tw
-from tests.browser import chromium, watched
 from tests.experiments.pages.reports.tuning_report_data import report_data, walk
 from trackwright.experiments.pages.charts.tuning import plan_chart
 from trackwright.experiments.pages.reports.before_after import MOST_PLANS, compare, judge, track_changes, tracked
-from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.tuning import tuning_page
 from trackwright.sim import worlds
 from trackwright.trackers.evaluation.rows import covariances
@@ -108,31 +106,6 @@ def test_ellipses_before_and_after_are_of_the_same_times_and_hold_95_percent(thr
                 (off * np.linalg.solve(cov, off)).sum(axis=0), stats.chi2.ppf(0.95, 2), rtol=0.02
             )
     assert times[0] == times[1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("width", [1300, 400])
-def test_the_plans_are_drawn_in_a_browser(three, tmp_path, width):
-    _, _, found = three
-    path = write_page(tmp_path / "report.html", tuning_page(report_data(plans=found)))
-    with chromium() as browser:
-        page = browser.new_page(viewport={"width": width, "height": 900})
-        errors = watched(page)
-        page.goto(path.as_uri())
-        page.wait_for_function(
-            "document.querySelectorAll('#floor-plans-before-and-after .chart .main-svg').length >= 4"
-        )
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-        # of the path on the screen: its points, and as many pixels a metre along x as along y
-        drawn, scales = page.evaluate("""() => {
-          const place = document.querySelector("#floor-plans-before-and-after .chart"), { xaxis, yaxis } = place._fullLayout;
-          return [place.data.find((trace) => trace.name === "after").x, [xaxis._m, -yaxis._m]];
-        }""")
-        assert scales[0] == pytest.approx(scales[1], rel=1e-3)
-        expected = _traces(found.shown[0])["after"]["x"]
-        assert np.array(drawn, float) == pytest.approx(np.array(expected, float), rel=1e-4, abs=1e-4, nan_ok=True)
-        assert page.locator("#floor-plans-before-and-after figcaption").first.inner_text().endswith("held out.")
-        assert not errors
 
 
 def test_of_many_tags_the_worst_the_median_and_the_best_are_shown():

@@ -232,18 +232,3 @@ def test_the_page_fits_its_window_in_both_themes(browser, tmp_path, width, schem
     page.emulate_media(media="screen")
     assert len(page.pdf(format="A4")) > 20_000
     assert errors == []
-
-
-@pytest.mark.slow
-def test_two_hundred_tags_move_fluently(browser, tmp_path):
-    tracks = small_tracks(rows=250, tags=tuple(f"tag-{k}" for k in range(200)))
-    page, errors = _opened(browser, _written(tmp_path, tracks))
-    page.select_option("#tag", "-1")
-    page.wait_for_timeout(1000)
-    milliseconds = page.evaluate("""() => {
-      const slider = document.getElementById("time"), before = performance.now();
-      for (let k = 0; k < 50; k++) { slider.value = slider.max * k / 50; slider.dispatchEvent(new Event("input")); }
-      return (performance.now() - before) / 50;
-    }""")
-    assert milliseconds < 60
-    assert errors == []
