@@ -147,7 +147,7 @@ def coverage(scored: ScoredRecording | Mapping[str, ScoredRecording], spatial: b
     ends: dict[str, Any] = {"xlim": (0, 100.8), "ylim": (0, 100.8), "xticks": LEVELS, "yticks": LEVELS, "equal": True}
     return Chart("coverage-3d" if spatial else "coverage", f"Truth inside the reported {title}",
                  f"level of the reported {words} (%)", f"truth inside the {words} (% of rows)", parts, **ends,
-                 note=f"{shape}." if shape else "", width=4.7, height=4.6)  # fmt: skip
+                 note=f"{shape}.".capitalize() if shape else "", width=4.7, height=4.6)  # fmt: skip
 
 
 def _inside(levels: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -179,7 +179,8 @@ def _consistency(scored: ScoredRecording, name: str, dof: np.ndarray, slow: str,
         at = np.array([scored.times[rows].mean() for rows in windows]) - scored.zero
         if law:
             several = of_one[order][np.isfinite(of_one[order])]
-            ends = nis_band(freedom / max(1.0, float(several.mean()) if len(several) else 1.0), nu)
+            one = float(np.clip(several.mean(), 1.0, len(windows[0]))) if len(several) else 1.0
+            ends = nis_band(freedom / one, nu)
             parts.append(band(at, *ends, "95 % band, rows as correlated as these"))
         mean = Line(at, total / freedom, f"mean of {len(windows[0])} rows", marker="circle", size=3)
         parts += [rule(1.0, (at[0], at[-1])), mean]
