@@ -19,7 +19,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from trackwright.experiments.pages.charts.style import GREY, INK, Chart, Field, Line
 from trackwright.trackers.recordings.atomic import atomic_write
 
-SYMBOLS = {"circle": "o", "square": "s", "diamond": "D", "triangle-up": "^", "triangle-down": "v", "line-ns-open": "|"}
+SYMBOLS = {"circle": "o", "square": "s", "diamond": "D", "triangle-up": "^", "triangle-down": "v", "line-ns": "|"}
 DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 COLOURS = {"Blues": "Blues_r", "RdBu": "RdBu_r", "Viridis": "viridis"}
 
@@ -79,13 +79,13 @@ def _draw_line(axes: Axes, line: Line) -> None:
             axes.fill(x[k], y[k], linewidth=0, **look | ({"label": "_"} if number else {}))
         return
     if line.marker:
-        look |= {"marker": SYMBOLS[line.marker if line.marker in SYMBOLS else line.marker.removesuffix("-open")]}
-        look |= {"markersize": line.size, "markeredgecolor": line.colour if line.marker.endswith("-open") else "white"}
-        look |= (
-            {"markerfacecolor": "none", "markeredgewidth": 1.5}
-            if line.marker.endswith("-open")
-            else {"markeredgewidth": 0.4}
-        )
+        look |= {
+            "marker": SYMBOLS[line.marker.removesuffix("-open")],
+            "markersize": line.size,
+            "markeredgecolor": "white",
+        }
+        if line.marker.endswith("-open"):
+            look |= {"markerfacecolor": "none", "markeredgecolor": line.colour, "markeredgewidth": 1.5}
     axes.plot(x, y, linestyle=DASHES[line.dash] if line.width else "none", linewidth=line.width, **look)
     for place, text in zip(zip(x.tolist(), y.tolist(), strict=True), line.text, strict=False):
         axes.annotate(_literal(text), place, (0, -6), textcoords="offset points", ha="center", va="top", fontsize=7,

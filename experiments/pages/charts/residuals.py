@@ -63,10 +63,8 @@ def _estimated(recording: ScoredRecording, rows: TagRows) -> np.ndarray:
     estimated = np.full((len(rows.times), 3), np.nan)
     if recording.angles:
         return estimated
-    of_tags, positions = (
-        {tag: k for k, tag in enumerate(recording.first["tag"])},
-        recording.columns("x_m", "y_m", "z_m"),
-    )
+    of_tags = {tag: k for k, tag in enumerate(recording.first["tag"])}
+    positions = recording.columns("x_m", "y_m", "z_m")
     for k, tag in ((k, tag) for k, tag in enumerate(rows.tags) if tag in of_tags):
         part, own = recording.rows_of(of_tags[tag]), slice(rows.starts[k], rows.starts[k + 1])
         known = np.isfinite(positions[part, :2]).all(axis=1)

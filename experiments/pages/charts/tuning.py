@@ -61,17 +61,16 @@ def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
     white = band([0, LAGS + 1], -wide, wide, "95 % band of white noise", style.VERMILION, 0.16)
     sides = (earlier, "before", style.BEFORE), (later, "after", style.BLUE)
     points = [Line(lags, y, name, colour, 0.8, marker="circle", size=3) for y, name, colour in sides]
-    probabilities = Chart(
-        "probabilities", "Probabilities of NIS", "probability of a smaller NIS", "density", uniform, **small
-    )
-    correlation = Chart("autocorrelation", "Autocorrelation of NIS", "lag (rows)", "", [white, *points], **small)
-    captions = (
-        "An overconfident filter has more large values than the vermilion line.",
-        "Uniform for a consistent filter; rising to the right: covariances too small, to the left: too large.",
-        "Of NIS as normal values. Points above the band: errors are correlated in time, contrary to the model.",
-    )
-    charts = nis_chart("nis", "NIS against its distribution", after, before, **small), probabilities, correlation
-    return [replace(chart, caption=caption) for chart, caption in zip(charts, captions, strict=True)]
+    names = "probabilities", "Probabilities of NIS", "probability of a smaller NIS", "density"
+    large = "An overconfident filter has more large values than the vermilion line."
+    rising = "Uniform for a consistent filter; rising to the right: covariances too small, to the left: too large."
+    lasting = "Of NIS as normal values. Points above the band: errors are correlated in time, contrary to the model."
+    others = "autocorrelation", "Autocorrelation of NIS", "lag (rows)", ""
+    return [
+        nis_chart("nis", "NIS against its distribution", after, before, **small, caption=large),
+        Chart(*names, uniform, **small, caption=rising),
+        Chart(*others, [white, *points], **small, caption=lasting),
+    ]
 
 
 def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
@@ -87,30 +86,21 @@ def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
             parts.append(Line(new[which], places[which], label, colour, 0.0, marker="circle", size=6))
     caption = "RMSE of each trajectory; vermilion where it increased."
     caption += f" The {MOST} largest are shown." if len(errors) > MOST else ""
-    look: dict[str, Any] = {
-        "yticks": dict(enumerate(names)),
-        "height": max(2.0, 1.0 + 0.24 * len(rows)),
-        "caption": caption,
-    }
-    return Chart(
-        "rmse", "RMSE of trajectories", f"RMSE ({unit})", "", parts, (0, None), (-0.6, len(rows) - 0.4), **look
-    )
+    look: dict[str, Any] = {"yticks": dict(enumerate(names)), "height": max(2.0, 1.0 + 0.24 * len(rows))}
+    ends, title = ((0, None), (-0.6, len(rows) - 0.4)), "RMSE of trajectories"
+    return Chart("rmse", title, f"RMSE ({unit})", "", parts, *ends, caption=caption, **look)
 
 
 def distribution_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
     """Distribution functions of the errors of all rows, before and after."""
-    curves = [
-        Curve.of(side, np.concatenate([getattr(track, side) for track in errors])) for side in ("before", "after")
-    ]
-    within = [f"{curve.name}: 95 % within {curve.quantiles([95.0])[0]:.3g} {unit}" for curve in curves]
+    curves = []
+    for side in ("before", "after"):
+        curve = Curve.of(side, np.concatenate([getattr(track, side) for track in errors]))
+        curves.append(curve._replace(name=f"{side}: 95 % within {curve.quantiles([95.0])[0]:.3g} {unit}"))
     end = 1.05 * max(float(curve.quantiles([99.0])[0]) for curve in curves)
-    named, looks = (
-        [curve._replace(name=name) for curve, name in zip(curves, within, strict=True)],
-        [{"colour": style.BEFORE}, {"colour": style.BLUE}],
-    )
-    return distribution(
-        "distribution", "Distribution of errors of all rows", named, f"error ({unit})", end, (95.0,), looks
-    )
+    looks = {"colour": style.BEFORE}, {"colour": style.BLUE}
+    title, quantity = "Distribution of errors of all rows", f"error ({unit})"
+    return distribution("distribution", title, curves, quantity, end, (95.0,), looks)
 
 
 def error_charts(errors: Sequence[ErrorTrack], unit: str) -> list[Chart]:
@@ -183,22 +173,15 @@ def sweep_plot(path: Path | str, swept: Sweep, objective: str) -> Path:
 
     `objective`: its name and unit. Raises UnusableInput where the file can't be written.
     """
-    from trackwright.experiments.pages.charts.drawing import write_charts
+    from trackwright.experiments.pages.charts.drawing import write
 
     mean, at, path = swept.mean, swept.best_index, Path(path)
     best = [float(grid[k]) for grid, k in zip(swept.grids, at, strict=True)]
     shown = ", ".join(f"{p.label} = {x:.4g}" for p, x in zip(swept.parameters, best, strict=True))
-    labels, spread = (
-        [named(p.label, p.example.unit) for p in swept.parameters],
-        swept.spread if len(swept.values) > 1 else None,
-    )
+    labels = [named(p.label, p.example.unit) for p in swept.parameters]
+    spread = swept.spread if len(swept.values) > 1 else None
     title = f"{objective}: minimum {mean[at]:.5g} at {shown}"
-    write_charts(
-        path.parent,
-        [_objective(path.stem, title, labels, swept.grids, mean, best, objective, (), spread)],
-        path.suffix[1:],
-    )
-    return path
+    return write(_objective(path.stem, title, labels, swept.grids, mean, best, objective, (), spread), path)
 
 
 def named(name: str, unit: str) -> str:
@@ -218,9 +201,7 @@ def _objective(
     """
     least, parts = float(np.nanmin(values)), list[Line | Field]()
     log = "".join(axis for axis, grid in zip("xy", grids, strict=False) if is_logarithmic(grid))
-    xlim, ylim = (
-        (float(grid[0]), float(grid[-1])) if len(grids) == 2 else (None, None) for grid in (grids[0], grids[-1])
-    )
+    xlim, ylim = [(float(grid[0]), float(grid[-1])) for grid in grids] if len(grids) == 2 else [(None, None)] * 2
     if len(labels) == 1:
         (grid,) = grids
         if spread is not None:

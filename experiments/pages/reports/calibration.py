@@ -218,21 +218,13 @@ def _readings(source: Source, calibration: Calibration) -> Chart:
         shown, none, factor, unit, what = true, at, 180 / np.pi, "°", "measured"
     else:
         # Errors of a few centimetres of ranges of metres are visible only by themselves.
-        factors, shown, none, factor, unit, what = (
-            range_terms(at)[:, : len(terms)],
-            0 * true,
-            0 * at,
-            1.0,
-            "m",
-            "error of",
-        )
+        factors = range_terms(at)[:, : len(terms)]
+        shown, none, factor, unit, what = 0 * true, 0 * at, 1.0, "m", "error of"
     fitted, half = factors @ terms, 1.96 * np.sqrt(np.einsum("ki,ij,kj->k", factors, covariance, factors))
     part = slice(None, None, -(-len(seen) // POINTS))
-    values = [factor * (shown + source.errors(of)[seen])[part] for of in (None, calibration)]
-    x, sides = factor * true[part], (("as measured", BEFORE), ("calibrated", BLUE))
-    parts = [
-        Line(x, y, name, look, 0.0, marker="circle", size=3) for y, (name, look) in zip(values, sides, strict=True)
-    ]
+    measured, calibrated = (factor * (shown + source.errors(of)[seen])[part] for of in (None, calibration))
+    parts = [Line(factor * true[part], measured, "as measured", BEFORE, 0.0, marker="circle", size=3)]
+    parts.append(Line(factor * true[part], calibrated, "calibrated", BLUE, 0.0, marker="circle", size=3))
     parts.append(Line(factor * at, factor * none, "no error", BLACK, 0.9, "dash"))
     interval = factor * (fitted - half), factor * (fitted + half)
     parts.append(band(factor * at, *interval, "its 95 % interval", VERMILION, 0.25))

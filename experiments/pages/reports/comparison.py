@@ -184,11 +184,8 @@ def _independent(first: Run, run: Run) -> Iterator[Contrast]:
     """The differences of a study from the first, by the widths of their intervals; conservative for common noise."""
     for (subject, metric), before in first.metrics.items():
         if after := run.metrics.get((subject, metric)):
-            half, value, p = (
-                math.hypot(before.high - before.low, after.high - after.low) / 2,
-                after.value - before.value,
-                math.nan,
-            )
+            half = math.hypot(before.high - before.low, after.high - after.low) / 2
+            value, p = after.value - before.value, math.nan
             if math.isfinite(half):
                 p = math.erfc(abs(value) / (half / 1.959964) / math.sqrt(2)) if half > 0 else float(value == 0)
             difference = Difference(before.value, after.value, value - half, value + half, p, 0)
@@ -204,17 +201,12 @@ def _table_of_tracks(runs: Sequence[Run], unit: Unit) -> Section:
     """The main metrics, and the median, of every recording and run, without those that no run has."""
     subjects = list(dict.fromkeys(subject for run in runs for subject, _ in run.metrics if subject))
     main = [column for column in COLUMNS if column.rank == 0 or column.name.startswith("median")]
-    shown = [
-        (subject, run, of)
-        for subject in (subjects if len(subjects) == 1 else [*subjects, ""])
-        for run in runs
-        if (of := run.of(subject))
-    ]
+    pairs = [(subject, run) for subject in (*subjects, *[""] * (len(subjects) > 1)) for run in runs]
+    shown = [(subject, run, of) for subject, run in pairs if (of := run.of(subject))]
     columns = [column for column in main if any(shown_metric(of, column.name) is not None for *_, of in shown)]
     rows = [[subject or "all recordings", run.name, *cells(of, columns, unit)] for subject, run, of in shown]
-    what = (
-        "Bearing" if runs[0].bearing else f"Horizontal{' and 3-D' * any('_3d' in one.name for one in columns)} position"
-    )
+    spatial = " and 3-D" * any("_3d" in column.name for column in columns)
+    what = "Bearing" if runs[0].bearing else f"Horizontal{spatial} position"
     head = ("recording", "run", *(title_of(column).replace("\n", " ").strip() for column in columns))
     return Section(f"{what} errors in {unit.name}", head, rows, 2)
 
@@ -248,9 +240,8 @@ def _table_of_studies(runs: Sequence[Run], contrasts: Sequence[Contrast]) -> Sec
         both = [run.metrics[key] for run in runs if run.name in (runs[0].name, contrast.run)]
         shown = [with_interval(value, unit) for value in both]
         ratio = f"{d.second / d.first:.3f}" if d.first else MISSING
-        rows.append(
-            [contrast.subject, heading(contrast.metric, unit), contrast.run, *shown, ratio, yes_no(contrast.differs)]
-        )
+        words = [contrast.subject, heading(contrast.metric, unit), contrast.run]
+        rows.append([*words, *shown, ratio, yes_no(contrast.differs)])
     head = ("", "metric", "study", runs[0].name, "the study's", "ratio", "differ?")
     note = f"In brackets 95 % intervals. Differences are corrected for {len(contrasts)} comparisons (Holm)."
     return Section("Metrics", head, rows, 3, note)
@@ -275,10 +266,8 @@ def comparison_charts(runs: Sequence[Run]) -> list[Chart]:
     p95, p99 = (sorted(float(np.quantile(all_errors(run), share)) for run in tracks) for share in (0.95, 0.99))
     furthest = 1.02 * max(p95[-1], p99[-2:][0])
     unit, curves, groups = SHOWN["rad"] if tracks[0].bearing else length_unit(furthest / 2), list[Curve](), list[Line]()
-    quantity, end = (
-        f"{'angle to the true direction' if tracks[0].bearing else 'horizontal error'} ({unit.name})",
-        unit.factor * furthest,
-    )
+    what, end = "angle to the true direction" if tracks[0].bearing else "horizontal error", unit.factor * furthest
+    quantity = f"{what} ({unit.name})"
     for k, run in enumerate(tracks):
         own, colour = unit.factor * all_errors(run), LINES[k % len(LINES)]
         beyond = 100 * np.mean(own > end)
@@ -301,11 +290,8 @@ def all_errors(run: Run) -> np.ndarray:
 def _plans(runs: Sequence[Run]) -> Iterator[Chart]:
     """Floor plans of some recordings by each run, in its colour, around the truth: the worst run sets no axes."""
     scored = [run.rows.filter(pl.col("why").is_null()) for run in runs if run.rows is not None]
-    names = [
-        name
-        for name in (scored[0]["recording"].unique(maintain_order=True) if scored else ())
-        if all(name in of["recording"] for of in scored)
-    ]
+    first = scored[0]["recording"].unique(maintain_order=True) if scored else ()
+    names = [name for name in first if all(name in of["recording"] for of in scored)]
     rmse = rmse_by(scored[0].filter(pl.col("recording").is_in(names)), "recording") if names else np.zeros(0)
     for place, why in drawn_of(rmse, False, MOST_PLANS).items():
         for k, run in enumerate(runs):

@@ -78,11 +78,8 @@ def run_data(
         worst = sorted(evaluation.tracks, key=lambda metrics: -(metrics.get(size) or 0.0))[:MOST_LISTED]
         listed = [*evaluation.recordings, *worst]
     for recording in shown:
-        own, limits = (
-            pl.col("recording") == recording.folder.name,
-            ((MOST_ROWS, 200), (MOST_TRACKS, 3), (MOST_POINTS, 100)),
-        )
-        share = len(recording.times) / total
+        own, share = pl.col("recording") == recording.folder.name, len(recording.times) / total
+        limits = (MOST_ROWS, 200), (MOST_TRACKS, 3), (MOST_POINTS, 100)
         most = (max(int(share * most), least) for most, least in limits)
         recordings.append(recording_data(recording, events.filter(own), *most))
     columns = [metric.name for metric in METRICS.values() if metric.page]

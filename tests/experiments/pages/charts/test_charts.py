@@ -246,9 +246,7 @@ def test_the_axes_of_a_sweep_over_two_numbers_end_where_the_grid_does(tmp_path, 
     grids = [np.geomspace(0.1, 1.0, 5), np.linspace(1.0, 2.0, 4)]
     values = (np.log(grids[0])[:, None] + 1) ** 2 + (grids[1] - 1.5) ** 2
     made = []
-    monkeypatch.setattr(
-        "trackwright.experiments.pages.charts.drawing.write_charts", lambda folder, charts, kind: made.extend(charts)
-    )
+    monkeypatch.setattr("trackwright.experiments.pages.charts.drawing.write", lambda chart, path: made.append(chart))
     parameters = [Parameter((name,), Scale(1.0, "m"), name) for name in ("a", "b")]
     for swept in (Sweep(parameters, grids, values[None], 1), Sweep(parameters[:1], grids[:1], values[None, :, 0], 1)):
         sweep_plot(tmp_path / "sweep.png", swept, "rmse (m)")
