@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -64,9 +65,12 @@ def tuned_content(
 
 
 def _value(given: Any) -> np.ndarray:
-    value = np.asarray(given)
+    try:
+        value = np.asarray(given)
+    except ValueError:
+        value = np.array("ragged")
     if value.dtype.kind not in "if" or not np.all(np.isfinite(value)):
-        raise ValueError(f"value = {given!r}, expected a finite number or a list")
+        raise ValueError(f"= {reprlib.repr(given)}, expected a finite number or a list")
     return value
 
 

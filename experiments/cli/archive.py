@@ -291,7 +291,7 @@ def _show(
     named = tracking.named(of[0][1]["tracker"], folders)
     found, _ = runs.tracked(named, folders, tracking.options, run.begin)
     statements = {"statements": evaluation.statements} if evaluation.overall["n"] else {}
-    page = runs.page_of(found, found.evaluation, 1, False) | {"recordingCount": len(of)} | statements
+    page = runs.page_of(found, found.evaluation, 1) | {"recordingCount": len(of)} | statements
     return runs.write_shown(runs.scored(found), [page], tracking.options, out, run)
 
 

@@ -66,10 +66,8 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
     with running("calibrate", json) as run:
         folders = prepared(recordings, Readings(), force, calibrated=True)
         # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
-        from trackwright.experiments.pages.charts.style import write_charts
         from trackwright.experiments.pages.reports import calibration as pages
         from trackwright.experiments.text.tables import sections_text
-        from trackwright.experiments.text.wording import figures_drawn
         from trackwright.trackers.recordings.calibration import write_calibration
         from trackwright.tuning.calibrating import calibrate
 
@@ -77,12 +75,9 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
         output_folder(out.parent)
         report = pages.report_on(calibration, folders)
         write_calibration(calibration, out)
-        charts = pages.calibration_charts(calibration, report)
-        every = [one for pair in charts.values() for of in pair for one in of]
-        drawn = write_charts(out.parent, every, "png", f"{out.stem}-")
-        page = pages.write_calibration_report(out, calibration, report, charts, sys.argv)
+        page = pages.write_calibration_report(out, calibration, report, sys.argv)
         print(sections_text([*report.tables.values()], pages.WIDTH, report.note), end="")
-        print(f"wrote {out}, {page.name} and {figures_drawn(drawn)}")
+        print(f"wrote {out} and {page.name}")
         run.put(tomllib.loads(out.read_text("utf-8")))
     return 0
 

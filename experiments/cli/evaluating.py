@@ -10,10 +10,9 @@ import polars as pl
 
 from trackwright.experiments.cli.console import LEFT_OUT, notices, output_folder, prepared, running
 from trackwright.experiments.cli.options import EvaluateOptions, Readings
-from trackwright.experiments.text.evaluation_text import archive_text, content, to_json, to_text
+from trackwright.experiments.text.evaluation_text import archive_text, content, pose_errors_text, to_json, to_text
 from trackwright.experiments.text.tables import sections_text, terminal_width
 from trackwright.experiments.text.terminal import notice
-from trackwright.experiments.text.wording import figures_drawn
 from trackwright.trackers.evaluation.conditions import condition_of, violation
 from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, metric_names, rows_of
 from trackwright.trackers.recordings.archives import read_archive
@@ -65,16 +64,21 @@ def code_of(evaluation: Evaluation, fail_if: str | None, whose: str = "") -> int
 
 
 def print_comparison(
-    folders: Sequence[Path], out: Path | None, kind: str | None = "png", json: bool = False, page: bool = True,
+    folders: Sequence[Path], out: Path | None, kind: str | None = None, json: bool = False, page: bool = True,
     playback: str | None = None,
 ) -> None:  # fmt: skip
     """Prints the comparison of the runs in these folders, and writes its page and figures into the folder `out`.
     `kind`: the ending of the figures, None for none. `playback`: another page beside it, which it names."""
     # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
-    from trackwright.experiments.pages.charts.comparison import comparison_charts
-    from trackwright.experiments.pages.charts.style import write_charts
-    from trackwright.experiments.pages.reports.comparison import WIDTH, comparison, lone_subjects, write_comparison
-    from trackwright.experiments.pages.reports.runs import read_runs
+    from trackwright.experiments.pages.charts.drawing import write_charts
+    from trackwright.experiments.pages.reports.comparison import (
+        WIDTH,
+        comparison,
+        comparison_charts,
+        lone_subjects,
+        read_runs,
+        write_comparison,
+    )
 
     runs, lines = read_runs(folders)
     tables, contrasts = comparison(runs)
@@ -87,7 +91,7 @@ def print_comparison(
         print(sections_text(tables, WIDTH), end="")
     if out is None:
         return
-    path, charts = output_folder(out) / COMPARISON, comparison_charts(runs, contrasts)
+    path, charts = output_folder(out) / COMPARISON, comparison_charts(runs)
     written = [] if kind is None else write_charts(out, charts, kind, f"{path.stem}-")
     if page:
         written.insert(0, write_comparison(path, [run.name for run in runs], tables, charts, sys.argv, playback).name)
@@ -97,7 +101,6 @@ def print_comparison(
 
 def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions) -> int:
     """Evaluates a file of estimates or a folder of `track`; prints the errors, and writes them with `--out`."""
-    from trackwright.experiments.pages.reports.evaluate_text import pose_errors_text
     from trackwright.trackers.exchange.estimates import pooled_names
     from trackwright.trackers.exchange.pose_evaluation import STEPS, Poses
 
@@ -122,7 +125,6 @@ def _write(
     out: Path, text: str, evaluation: Evaluation, tracks: pl.DataFrame, folders: Sequence[RecordingFolder], source: str
 ) -> str:
     """Writes the files of `--out`; in words, which."""
-    from trackwright.experiments.pages.charts.figures import plot_tracks
     from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
     from trackwright.experiments.pages.scored_tracks import ScoredTracks
 
@@ -132,6 +134,6 @@ def _write(
         write_whole(out / SOURCES, "".join(f"{path}\n" for path in paths))
     scored = ScoredTracks(rows_of(tracks, folders), folders, ())
     none = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
-    run = run_data(scored, none, evaluation, source, figures=True)
+    run = run_data(scored, none, evaluation, source)
     write_track_page(out / PAGE, [run], " ".join(["trackwright", *sys.argv[1:]]), "evaluate")
-    return f"wrote {out}: {PAGE}, {EVALUATION}, {TRACKS} as compared, and {figures_drawn(plot_tracks(out, scored))}"
+    return f"wrote {out}: {PAGE}, {EVALUATION}, and {TRACKS} as compared"

@@ -318,7 +318,7 @@ class PoseOptions:
         time_tolerance: largest distance in time between a pose and its true pose; default: 0.01.
         rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
         all_pairs: relative pose errors from every pose, not from the end of the step before.
-        out: a folder for the page, evaluation.json, the tracks as compared, and figures.
+        out: a folder for the page, evaluation.json and the tracks as compared.
     """
 
     align: Alignment | None = None

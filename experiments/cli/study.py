@@ -43,7 +43,7 @@ def study(
     from trackwright.experiments.monte_carlo.runner import StopRule, run_study
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
     from trackwright.experiments.monte_carlo.store import CHUNKS
-    from trackwright.experiments.pages.charts.style import write_charts
+    from trackwright.experiments.pages.charts.drawing import write_charts
     from trackwright.experiments.pages.reports import study as pages
     from trackwright.experiments.pages.reports.pages import write_page
     from trackwright.experiments.text.terminal import notice

@@ -150,7 +150,7 @@ def _track(
     def show() -> list[str]:
         if options.figures != "none":
             run.begin("report")
-            pages.append(page_of(found, evaluation, of, of == 1 and file_format(options.figures) is not None))
+            pages.append(page_of(found, evaluation, of))
         drawn = write_shown(scored(found), pages, options, out, run) if of == 1 else []
         for event, count in found.events.group_by("event", maintain_order=True).len().iter_rows():
             print(f"event: {event} ({counted(count, 'time')})")
@@ -193,10 +193,10 @@ def scored(found: ScoredRun) -> ScoredTracks:
     return ScoredTracks(found.rows, found.folders, found.tracks.batches)
 
 
-def page_of(found: ScoredRun, evaluation: tw.Evaluation, of: int, files: bool) -> dict[str, Any]:
-    """The data of the page of one of `of` trackers; `files`: whether there are figures in files."""
+def page_of(found: ScoredRun, evaluation: tw.Evaluation, of: int) -> dict[str, Any]:
+    """The data of the page of one of `of` trackers."""
     name, known = found.named.name, evaluation if evaluation.overall["n"] else None
-    return run_data(scored(found), found.events, known, f"{name}: {found.named.spec.about}", short(name), of, files)
+    return run_data(scored(found), found.events, known, f"{name}: {found.named.spec.about}", short(name), of)
 
 
 def write_shown(
@@ -210,7 +210,7 @@ def write_shown(
     if kind := file_format(options.figures):
         run.begin("figures")
         # matplotlib takes a third of a second to import.
-        from trackwright.experiments.pages.charts.figures import plot_tracks
+        from trackwright.experiments.pages.charts.recording import plot_tracks
 
         written.append(figures_drawn(plot_tracks(out, tracks, kind)))
     return written

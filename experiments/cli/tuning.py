@@ -19,7 +19,6 @@ import trackwright as tw
 from trackwright.experiments.cli import console
 from trackwright.experiments.cli.console import Run, notices, output_folder, prepared, ready, write_manifest
 from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, config, file_format
-from trackwright.experiments.pages.charts.style import write_charts
 from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart, sweep_plot
 from trackwright.experiments.pages.reports import before_after as changes
 from trackwright.experiments.pages.reports import tuning as pages
@@ -272,6 +271,8 @@ def _write_trace(out: Path, result: tw.FitResult, objective: str, unit: str, fig
         return []
     about = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
     units = [p.example.unit for p in result.parameters for _ in range(p.size)]
+    from trackwright.experiments.pages.charts.drawing import write_charts
+
     charts = [parameter_chart(traces, k, *named) for k, named in enumerate(zip(names, units, strict=True))]
     return write_charts(out, [objective_chart(traces, about.get(objective, objective)), *charts], figure)
 

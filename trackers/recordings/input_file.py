@@ -171,7 +171,8 @@ def read_model(path: Path, model: type[T], expected: str, fix: str = "", version
         others = difflib.get_close_matches(key, [str(other) for other in value], 1, 0.7)
         raise UnusableInput(f"{path}: {place} is missing{f', found {others[0]}' if others else ''}{ending}")
     unknown = kind in ("unexpected_keyword_argument", "extra_forbidden")
-    expects = error["msg"].replace("Input should be", "expected").replace(" or an instance of", " as of")
+    expects = error["msg"].replace("Input should be", "expected").replace("a valid dictionary", "a table")
+    expects = re.sub(r" or (an )?(instance|object) .*", "", expects)
     expects = re.sub(r"\w+ should have (.*) after validation.*", r"expected \1", expects)
     expects = re.sub(r"an instance of Float\[ndarray, '(.*)'\]", r"numbers of shape \1", expects)
     value = value.tolist() if isinstance(value, np.ndarray) else value

@@ -109,9 +109,9 @@ def test_a_recording_that_no_tracker_fits_is_refused(tmp_path):
 
 TUNED = {
     "missing file": (None, "cannot be read"),
-    "empty": ("", "found no [tunables]"),
+    "empty": ("", "tunables is missing"),
     "not TOML": ("[tunables", "is not valid TOML"),
-    "entry not a table": ('[tunables]\n"motion.sigma_a" = 0.3\n', "motion.sigma_a.value = None"),
+    "entry not a table": ('[tunables]\n"motion.sigma_a" = 0.3\n', "motion.sigma_a = 0.3, expected a table"),
     "value NaN": ('[tunables."motion.sigma_a"]\nvalue = nan\n', "motion.sigma_a.value = nan"),
     "value a text": ('[tunables."motion.sigma_a"]\nvalue = "0.3"\n', "motion.sigma_a.value = '0.3'"),
     "value beyond all numbers": (f'[tunables."motion.sigma_a"]\nvalue = {10**400}\n', "motion.sigma_a.value = 1000"),

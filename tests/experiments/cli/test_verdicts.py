@@ -39,7 +39,7 @@ def test_values_with_which_a_left_out_recording_gets_worse_are_written_with_that
     assert hall["log_density"]["after"] < hall["log_density"]["before"] - 1.0
     assert hall["log_density"]["high_95"] < 0
     assert (len(hall["rmse_m"]), len(hall["nees_ratio"])) == (2, 2)
-    assert json.loads(said.out)["recordings"]["hall-2"]["worse"] == hall["worse"]
+    assert json.loads(said.out)["recordings"]["hall-2"] == hall
     for where in (said.err, (out / "report.html").read_text("utf-8")):
         assert f"hall-2 got worse, {hall['log_density']['before']:.2f} → " in " ".join(where.split())
         assert "--steps" not in where

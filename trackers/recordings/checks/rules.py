@@ -152,7 +152,7 @@ def check_units(rig: Rig, tables: Tables) -> Results:
         at = np.stack(list(rig.anchors.values()))
         apart = float(np.median(np.sort(np.linalg.norm(at[:, None] - at, axis=-1), axis=1)[:, 1]))
         if apart >= max(100 * float(typical), FAR_M):  # type: ignore[arg-type]
-            lengths = f"anchors {apart:,.5g} m apart, ranges of {typical:.3g} m"
+            lengths = f"anchors {apart:,.5g} m apart, ranges of {float(typical):.3g} m"  # type: ignore[arg-type]
             yield CheckResult("error", "rig.toml", f"{lengths}: looks like millimetres, expected metres")
     site = "" if across is None else f", the rig is {significant(across, 3)} m across"
     length = FAR_M if across is None else 20 * max(across, 1.0)
