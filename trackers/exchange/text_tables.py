@@ -109,7 +109,7 @@ def read_rows(path: Path, form: Reading) -> tuple[TableFile, list[str]]:
     if repeated := next((name for k, name in enumerate(names) if name in names[:k]), None):
         fix = f"rename one, or --header none --skip {at} calls them column1 to column{width}"
         raise UnusableInput(f"{path}: column {repeated!r} is duplicated in line {at}, expected once; {fix}")
-    frame = rows.select(cells.get(k, null_on_oob=True).alias(name) for k, name in enumerate(names))
+    frame = rows.select(cells.to_struct(fields=names)).unnest("cells")
     if form.header != "none" and len(frame):
         units = [str(cell or "").strip().strip("[]()") for cell in frame.row(0)]
         if any(map(str.isalpha, units)) and {unit.lower() for unit in units} <= _UNIT_CELLS:
