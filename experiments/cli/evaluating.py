@@ -14,8 +14,14 @@ from trackwright.experiments.text.evaluation_text import archive_text, content, 
 from trackwright.experiments.text.tables import sections_text, terminal_width
 from trackwright.experiments.text.terminal import notice
 from trackwright.experiments.text.wording import figures_drawn
-from trackwright.trackers.evaluation.conditions import condition_of, violation
-from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, metric_names, rows_of
+from trackwright.trackers.evaluation.evaluate import (
+    Evaluation,
+    condition_of,
+    evaluate,
+    metric_names,
+    rows_of,
+    violation,
+)
 from trackwright.trackers.recordings.archives import read_archive
 from trackwright.trackers.recordings.atomic import held, json_text, write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder
