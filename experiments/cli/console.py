@@ -77,7 +77,7 @@ def write_manifest(out: Path, config: Mapping[str, Any], started: datetime, **mo
 
 def keep_programs() -> None:
     """Keeps compiled programs for later commands; a notice where that is impossible."""
-    from trackwright.trackers.programs.keeping import keep_programs
+    from trackwright.trackers.programs.traced_programs import keep_programs
 
     keep_programs(lambda line: notices([line]))
 

@@ -13,8 +13,14 @@ from trackwright.experiments.cli.options import EvaluateOptions, Readings
 from trackwright.experiments.text.evaluation_text import archive_text, content, pose_errors_text, to_json, to_text
 from trackwright.experiments.text.tables import sections_text, terminal_width
 from trackwright.experiments.text.terminal import notice
-from trackwright.trackers.evaluation.conditions import condition_of, violation
-from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate, metric_names, rows_of
+from trackwright.trackers.evaluation.evaluate import (
+    Evaluation,
+    condition_of,
+    evaluate,
+    metric_names,
+    rows_of,
+    violation,
+)
 from trackwright.trackers.recordings.archives import read_archive
 from trackwright.trackers.recordings.atomic import held, json_text, write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder

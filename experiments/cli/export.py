@@ -26,7 +26,7 @@ def export(
         tag: this tag alone.
         force: replace a file that exists.
     """
-    from trackwright.trackers.exchange.exporting import export_tracks
+    from trackwright.trackers.exchange.exported_tracks import export_tracks
 
     for line in export_tracks(run, format, out, tag, force):
         print(line)
