@@ -25,8 +25,7 @@ from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.range_rows import range_inputs
 from trackwright.trackers.parts.ranges import RANGES
-from trackwright.trackers.recordings.checks import sampling
-from trackwright.trackers.recordings.checks.units import check_units
+from trackwright.trackers.recordings.checks import rules
 
 COARSE_M = 1e-3
 """Spacing of numbers in single precision, m, from which on coordinates are far from their origin: as of 8 km."""
@@ -185,9 +184,9 @@ def _refuse_other_units(
 
     Warns of times that may be in milliseconds.
     """
-    for result in check_units(rig, {name: pl.DataFrame(columns)}):
+    for result in rules.check_units(rig, {name: pl.DataFrame(columns)}):
         raise UnusableInput(f"{function}: {result.message.replace('from the rig', 'from their middle')}")
-    for result in sampling.check_times({name: pl.DataFrame({"t_s": times})}, base=False):
+    for result in rules.check_times({name: pl.DataFrame({"t_s": times})}, base=False):
         if result.level == "error":
             raise UnusableInput(f"{function}: times: {result.message}")
         warnings.warn(f"{function}: times: {result.message}", stacklevel=3)

@@ -1,9 +1,6 @@
-"""`trackwright tune` and `sweep`; `tuning_job.py`, `tuning_folder.py` and `sweep_job.py` do the work."""
+"""`trackwright tune` and `sweep`; `tuning.py` does the work."""
 
 from __future__ import annotations
-
-import time
-from datetime import UTC, datetime
 
 from trackwright.experiments.cli.options import Recording, SweepOptions, TuneOptions
 
@@ -17,29 +14,20 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
     Args:
         recordings: recording folders to fit to, all at once.
     """
-    started, clock = datetime.now(UTC), time.perf_counter()
-    from trackwright.experiments.cli.console import FoldersInTurn, checked, json_alone, prepared
-    from trackwright.experiments.cli.runtime import keep_programs
-    from trackwright.experiments.text.terminal import stages
-    from trackwright.trackers.recordings.folder import read_recordings
+    from trackwright.experiments.cli.console import keep_programs, prepared, running
 
     options.read()
-    with json_alone(options.json) as put, stages("tune") as begin:
-        begin("reading")
-        paths, used = (*recordings, *options.held_out), options.used
-        folders = (
-            prepared(checked(read_recordings(paths), None, used.calibration is not None), used)
-            if options.cluster is None
-            else FoldersInTurn(paths, used)
-        )
-        begin("preparing")
+    with running("tune", options.json) as run:
+        run.begin("reading")
+        paths = (*recordings, *options.held_out)
+        # For a cluster recordings are read one by one, of which the first says what they are.
+        folders = prepared(paths if options.cluster is None else paths[:1], options.used)
+        run.begin("preparing")
         keep_programs()
         # jax takes a second to import, which a refused recording need not wait for.
-        from trackwright.experiments.cli.tuning_folder import tune_folders
+        from trackwright.experiments.cli.tuning import tune_folders
 
-        code, content = tune_folders(folders, recordings, options, started, clock, begin)
-        put(content)
-    return code
+        return tune_folders(folders, paths, options, run)
 
 
 def sweep(*recordings: Recording, options: SweepOptions) -> int:
@@ -50,20 +38,16 @@ def sweep(*recordings: Recording, options: SweepOptions) -> int:
     Args:
         recordings: recording folders, all at once.
     """
-    started, clock = datetime.now(UTC), time.perf_counter()
-    from trackwright.experiments.cli.console import json_alone, read_with_notices
-    from trackwright.experiments.cli.runtime import keep_programs
-    from trackwright.experiments.text.terminal import stages
+    from trackwright.experiments.cli.console import keep_programs, prepared, running
 
     options.read()
     _ = options.grids
-    with json_alone(options.json) as put, stages("sweep") as begin:
-        begin("reading")
-        folders = read_with_notices(recordings, options.used)
-        begin("preparing")
+    with running("sweep", options.json) as run:
+        run.begin("reading")
+        folders = prepared(recordings, options.used, check=False)
+        run.begin("preparing")
         keep_programs()
-        # jax takes a second to import, which a refused recording need not wait for.
-        from trackwright.experiments.cli.sweep_job import sweep_folders
+        from trackwright.experiments.cli.tuning import sweep_folders
 
-        put(sweep_folders(folders, recordings, options, started, clock, begin))
+        sweep_folders(folders, options, run)
     return 0

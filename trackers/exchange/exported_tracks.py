@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import polars as pl
+from scipy.stats import chi2
 
-from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.rows import covariances
@@ -21,7 +21,6 @@ from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.tracks_table import HEADING, is_bearing
 
 _TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-_FRAME = "world"
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,23 +35,16 @@ class ExportedTrack:
     @property
     def file_name(self) -> str:
         """Recording and tag as the name of a file without its ending."""
-        text = f"{self.recording}-{self.tag}"
-        return "".join(c if c.isalnum() or c in "._-" else "_" for c in text)[:100]
+        return re.sub(r"[^\w.-]", "_", f"{self.recording}-{self.tag}")[:100]
 
 
 def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
-    """The trajectories of a table of estimates or truth; rows and tracks without an estimate are left out.
-
-    Where the heading alone is known, the body is taken as level.
-
-    Raises UnusableInput for bearings, and if nothing remains.
-    """
+    """The trajectories in a table of estimates or truth; a body with a heading alone is level. Or UnusableInput."""
     if is_bearing(table):
         raise UnusableInput("the tracks hold bearings, no positions; --format csv writes them")
     tracks = []
     for (recording, tag), rows in table.partition_by(["recording", "tag"], as_dict=True, maintain_order=True).items():
-        rows = usable_rows(rows)
-        if rows.height:
+        if (rows := usable_rows(rows)).height:
             given = covariances(rows) if "std_x_m" in rows.columns else None
             poses, heading = trajectory_of_table(rows, f"tag {tag} of '{recording}'"), float_column(rows, HEADING)
             if poses.quaternions is None and np.isfinite(heading).all():
@@ -67,56 +59,47 @@ def tracks_of(table: pl.DataFrame) -> list[ExportedTrack]:
 def write_bag(out: Path, tracks: Sequence[ExportedTrack]) -> list[str]:
     """Writes the bag, a new folder, completely or not at all, and returns the topics, /RECORDING/TAG.
 
-    An unknown variance of the position is 0 as in ROS; attitudes are the poses' or the identity, with zero
-    variance. Raises UnusableInput for times before 0, an existing folder, and without the package rosbags.
+    An unknown variance is 0 as in ROS, an unknown attitude the identity. Raises UnusableInput for times before 0.
     """
     rosbag2, typesys = rosbags_module("rosbag2", "--format ros2"), rosbags_module("typesys", "--format ros2")
-    early = [track.poses.name for track in tracks if track.poses.times[0] < 0]
-    if early:
+    if early := [track.poses.name for track in tracks if track.poses.times[0] < 0]:
         raise UnusableInput(f"{early[0]}: has times before 0 s, which a ROS bag cannot hold; cut or shift them")
     if out.exists():
         raise UnusableInput(f"--out {out}: exists already, expected a new folder for the bag; choose another name")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    plugin, topics = rosbag2.StoragePlugin.SQLITE3, []
+    # A part of a topic has letters, digits and underscores, not a digit first.
+    plain = [
+        [re.sub(r"^(?=\d|$)", "tag_", re.sub(r"\W", "_", x, flags=re.A)) for x in (t.recording, t.tag)] for t in tracks
+    ]
+    topics = ["/" + "/".join(names) for names in plain]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with beside(out, Path.mkdir) as scratch:
             # The bag's files have the name of its folder, which is why a folder around it is temporary, not a name.
+            plugin = rosbag2.StoragePlugin.SQLITE3
             with rosbag2.Writer(scratch / out.name, version=9, storage_plugin=plugin) as writer:
-                for track in tracks:
-                    topic = f"/{_plain(track.recording)}/{_plain(track.tag)}"
-                    topics.append(topic)
+                for topic, track in zip(topics, tracks, strict=True):
                     connection = writer.add_connection(topic, _TYPE, typestore=store)
-                    for stamp, message in _messages(store, track):
-                        writer.write(connection, stamp, store.serialize_cdr(message, _TYPE))
+                    for row in range(len(track.poses)):
+                        stamp = round(track.poses.times[row] * 1e9)
+                        writer.write(connection, stamp, store.serialize_cdr(_message(store.types, track, row), _TYPE))
             (scratch / out.name).rename(out)
     except OSError as error:
         raise UnusableInput(f"{out}: cannot be written ({error.strerror}); check free space and permissions") from error
     return topics
 
 
-def _messages(store: Any, track: ExportedTrack) -> Any:
-    types = store.types
-    quaternion, point = types["geometry_msgs/msg/Quaternion"], types["geometry_msgs/msg/Point"]
-    time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
-    pose, with_covariance = types["geometry_msgs/msg/Pose"], types["geometry_msgs/msg/PoseWithCovariance"]
-    poses = track.poses
-    given = np.tile([1.0, 0, 0, 0], (len(poses), 1)) if poses.quaternions is None else poses.quaternions
-    for k, position in enumerate(np.nan_to_num(poses.positions).tolist()):
-        covariance = np.zeros((6, 6))
-        if track.covariances is not None:
-            covariance[:3, :3] = np.nan_to_num(track.covariances[k])
-        w, x, y, z = given[k].tolist()
-        stamp = round(poses.times[k] * 1e9)
-        moment = time(sec=stamp // 10**9, nanosec=stamp % 10**9)
-        place = pose(position=point(*position), orientation=quaternion(x=x, y=y, z=z, w=w))
-        yield stamp, types[_TYPE](header(moment, _FRAME), with_covariance(place, covariance.ravel()))
-
-
-def _plain(text: str) -> str:
-    """The text as a part of a topic: letters, digits and underscores, not a digit first."""
-    name = "".join(c if c.isascii() and c.isalnum() else "_" for c in text)
-    return f"tag_{name}" if not name or name[0].isdigit() else name
+def _message(types: Mapping[str, type], track: ExportedTrack, row: int) -> object:
+    """The pose of a row as a ROS message."""
+    point, quaternion, pose = (types[f"geometry_msgs/msg/{name}"] for name in ("Point", "Quaternion", "Pose"))
+    covariance, poses = np.zeros((6, 6)), track.poses
+    if track.covariances is not None:
+        covariance[:3, :3] = np.nan_to_num(track.covariances[row])
+    w, x, y, z = (1.0, 0.0, 0.0, 0.0) if poses.quaternions is None else poses.quaternions[row].tolist()
+    place = pose(point(*np.nan_to_num(poses.positions[row]).tolist()), quaternion(x, y, z, w))
+    moment = types["builtin_interfaces/msg/Time"](*divmod(round(poses.times[row] * 1e9), 10**9))
+    header = types["std_msgs/msg/Header"](moment, "world")
+    return types[_TYPE](header, types["geometry_msgs/msg/PoseWithCovariance"](place, covariance.ravel()))
 
 
 def write_rrd(
@@ -126,9 +109,8 @@ def write_rrd(
     try:
         import rerun as rr
     except ImportError:
-        raise UnusableInput(
-            "--format rrd needs the package rerun-sdk; install the extra: pip install 'trackwright[rerun]'"
-        ) from None
+        fix = "install the extra: pip install 'trackwright[rerun]'"
+        raise UnusableInput(f"--format rrd needs the package rerun-sdk; {fix}") from None
     stream = rr.RecordingStream("trackwright")
     stream.save(path)
     for name, rig in rigs.items():
@@ -137,27 +119,20 @@ def write_rrd(
             if places:
                 points = rr.Points3D(np.stack(list(places.values())), labels=list(places), radii=0.05)
                 stream.log([name, what], points, static=True)
-    for what, several in (("track", tracks), ("truth", truths)):
-        for track in several:
-            _log(rr, stream, [track.recording, f"tag {track.tag}", what], track)
+    for what, track in (*(("track", t) for t in tracks), *(("truth", t) for t in truths)):
+        entity, positions = [track.recording, f"tag {track.tag}", what], np.nan_to_num(track.poses.positions)
+        stream.log([*entity, "path"], rr.LineStrips3D([positions]), static=True)
+        shapes = {"position": rr.Points3D.columns(positions=positions, radii=np.full(len(positions), 0.04))}
+        if track.covariances is not None:
+            values, axes = np.linalg.eigh(np.nan_to_num(track.covariances))
+            axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
+            shapes["ellipsoid 95 %"] = rr.Ellipsoids3D.columns(
+                centers=positions,
+                half_sizes=np.sqrt(np.maximum(values, 0.0) * chi2.ppf(0.95, 3)),
+                quaternions=np.roll(quaternions_of(axes), -1, axis=1),
+            )
+        times = [rr.TimeColumn("t_s", duration=track.poses.times)]
+        for name, columns in shapes.items():
+            rr.send_columns(rr.new_entity_path([*entity, name]), times, columns, recording=stream)
     stream.flush()
     stream.disconnect()
-
-
-def _log(rr: Any, stream: Any, entity: list[str], track: ExportedTrack) -> None:
-    positions = np.nan_to_num(track.poses.positions)
-    stream.log([*entity, "path"], rr.LineStrips3D([positions]), static=True)
-    times, name = [rr.TimeColumn("t_s", duration=track.poses.times)], rr.new_entity_path
-    points = rr.Points3D.columns(positions=positions, radii=np.full(len(positions), 0.04))
-    rr.send_columns(name([*entity, "position"]), times, points, recording=stream)
-    if track.covariances is not None:
-        half_sizes, quaternions = _ellipsoids(track.covariances)
-        shapes = rr.Ellipsoids3D.columns(centers=positions, half_sizes=half_sizes, quaternions=quaternions)
-        rr.send_columns(name([*entity, "ellipsoid 95 %"]), times, shapes, recording=stream)
-
-
-def _ellipsoids(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Half axes (n, 3), m, and attitudes (n, 4) x, y, z, w of the 95 % ellipsoids; an unknown variance counts as 0."""
-    values, axes = np.linalg.eigh(np.nan_to_num(covariances))
-    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-    return np.sqrt(np.maximum(values, 0.0) * chi_square_quantile(0.95, 3)), np.roll(quaternions_of(axes), -1, axis=1)

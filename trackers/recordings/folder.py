@@ -22,7 +22,7 @@ from trackwright.trackers.core.data.seconds import moment, seconds
 from trackwright.trackers.core.errors import UnusableInput, has_control, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.atomic import beside
-from trackwright.trackers.recordings.checks.sampling import anomalies
+from trackwright.trackers.recordings.checks.rules import check_rows
 from trackwright.trackers.recordings.columns import TableRows, TagRows
 from trackwright.trackers.recordings.kinds import KINDS, Layout, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
@@ -298,7 +298,7 @@ def read_recording(path: str | Path, placed: bool = True) -> RecordingFolder:
     if ignored:
         notices.append(f"ignored: {'; '.join(ignored)}")
     _check_common_tag(path, tables)
-    notices += anomalies(tables, rig)
+    notices += (f"{one.where}: {one.message}" for one in check_rows(rig, tables))
     return RecordingFolder(rig.name, path, rig, tables, tuple(notices))
 
 

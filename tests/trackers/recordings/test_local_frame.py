@@ -12,7 +12,7 @@ import pytest
 import trackwright as tw
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.events import events_of
-from trackwright.trackers.recordings.checks.units import check_units
+from trackwright.trackers.recordings.checks.rules import check_units
 from trackwright.trackers.recordings.named_tracker import near_origin
 from trackwright.trackers.recordings.tracks import Tracks
 

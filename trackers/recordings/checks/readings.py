@@ -1,8 +1,4 @@
-"""The readings of a table by stream, and their differences from the true values and from a local line.
-
-Checks of these: readings that repeat the one before; quantisation steps, the smallest spacing of which nearly all
-differences are multiples; the autocorrelation time of errors, against truth or about a local line.
-"""
+"""The readings of a table by stream: repeats, quantisation steps, and how long their errors against truth last."""
 
 from __future__ import annotations
 
@@ -21,23 +17,17 @@ from trackwright.trackers.recordings.kinds import KINDS, unit_of, wrapped
 MOST_ROWS, MOST_DIFFERENCES, MOST_TIMES = 100_000, 20_000, 10_000
 """Readings of a table that are looked at, of a column whose differences are, and pairs that tell a lag's interval."""
 
-LINE_S, LEAST_ROWS, LEAST_VALUES, LEAST_PAIRS = 2.0, 5, 20, 50
-"""Time, s, over which a line is put through readings; least numbers of readings of a line, of differences of which a
-step is looked for, and of pairs of errors at a lag."""
+LEAST_VALUES, LEAST_PAIRS, FEW, MANY = 20, 50, 0.01, 0.2
+"""Least differences of which a step is looked for, and pairs of errors at a lag; share of repeated readings that is
+reported, and that is a warning."""
 
-FEW, MANY = 0.01, 0.2
-"""Share of repeated readings that is reported, and that is a warning."""
-
-MULTIPLES, NEAR, COARSE = 0.95, 0.02, 0.1
-"""Of quantisation: the least share of the differences that are multiples of a step; the distance from a multiple, in
-steps: one in 25 differences of a continuous value is as near; and the least step that is reported, relative to the
-scatter of the readings: a finer one adds nothing to their noise."""
+MULTIPLES, NEAR, COARSE, BOUND = 0.95, 0.02, 0.1, 4.0
+"""Least share of differences that are multiples of a step, and the distance from one, in steps: one in 25 continuous
+values is as near; least step beside the scatter of readings that is reported; robust standard deviations at which
+errors are cut off, since outliers would hide the correlation of the others."""
 
 CANDIDATES = np.array([0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3])
 """Quantiles of the differences that are tried as steps."""
-
-BOUND = 4.0
-"""Robust standard deviations at which errors are cut off: outliers would hide the correlation of the others."""
 
 
 class Readings(NamedTuple):
@@ -79,52 +69,25 @@ def readings(recording: RecordingFolder, name: str, errors: bool = True) -> Read
     return Readings(measured.columns, stream[order], times, measured.values, differences)
 
 
-def about_local_line(read: Readings) -> Float[np.ndarray, "N m"]:
-    """The differences (N, m) of readings from a line through those around them; NaN where there are too few."""
-    differences = np.full(read.values.shape, np.nan)
-    for k, column in enumerate(read.columns):
-        seen = np.flatnonzero(np.isfinite(read.values[:, k]))
-        if not len(seen):
-            continue
-        x, t = read.values[seen, k], read.times[seen] - read.times.mean()
-        x = np.unwrap(x) if column.endswith("_rad") else x - np.mean(x)
-        # Streams one after another on one axis of time, too far apart to share a line.
-        at = t + (np.ptp(t) + 2 * LINE_S) * read.stream[seen]
-        first, end = (
-            np.searchsorted(at, at + way * LINE_S / 2, side="left" if way < 0 else "right") for way in (-1, 1)
-        )
-        sums = np.cumsum(np.pad(np.stack([t, x, t * t, t * x], axis=1), ((1, 0), (0, 0))), axis=0)
-        count = end - first
-        mean_t, mean_x, square, product = ((sums[end] - sums[first]) / count[:, None]).T
-        variance = square - mean_t**2
-        slope = (product - mean_t * mean_x) / np.where(variance > 0, variance, 1.0)
-        line = mean_x + slope * (t - mean_t)
-        differences[seen, k] = np.where((count >= LEAST_ROWS) & (variance > 0), x - line, np.nan)
-    return differences
-
-
 def known_median(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
     """The median (m,) of each column without its missing values, NaN without any value."""
     return np.array([np.median(c[~np.isnan(c)]) if not np.isnan(c).all() else np.nan for c in x.T])
 
 
-def robust_std(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
-    """The standard deviation (m,) of each column from its median size, blind to outliers; 0 without any value."""
-    return np.nan_to_num(1.4826 * known_median(np.abs(x)))
-
-
 def check_readings(recording: RecordingFolder, name: str) -> Iterator[CheckResult]:
-    """Repeats, quantisation steps and the correlation time of the readings of a table."""
+    """Repeats, quantisation steps and, against truth, the correlation time of the errors of a table."""
     read, kind = readings(recording, name), KINDS[name]
-    about, share, steps = about_local_line(read), repeated_share(read), dict[float, list[str]]()
+    share, steps = repeated_share(read), dict[float, list[str]]()
     if share >= FEW:
         of = "tag and pair of anchors" if kind.difference else " and ".join(kind.layout(()).ids)
         message = f"repeated readings: {100 * share:.2g} % of the rows equal the previous row of the same {of}"
         expected = "; expected one row per measurement" if share >= MANY else ""
         yield CheckResult("warning" if share >= MANY else "info", name, message + expected)
-    for k, (column, scatter) in enumerate(zip(read.columns, robust_std(about), strict=True)):
-        if (found := quantisation_step(read, k)) is not None and found >= COARSE * scatter:
-            steps.setdefault(float(f"{found:.3g}"), []).append(column)
+    follows, moved = changes(read)
+    scatter = 1.4826 / math.sqrt(2) * np.nan_to_num(known_median(np.abs(moved[follows])))
+    for k, column in enumerate(read.columns):
+        if (step := quantisation_step(read, k)) is not None and step >= COARSE * scatter[k]:
+            steps.setdefault(float(f"{step:.3g}"), []).append(column)
     for step, columns in steps.items():
         unit = unit_of(columns[0])
         degrees = f" ({math.degrees(step):.3g}°)" if unit == "rad" else ""
@@ -132,21 +95,15 @@ def check_readings(recording: RecordingFolder, name: str) -> Iterator[CheckResul
             f"quantised: {', '.join(columns)} in steps of {step:.3g} {unit}{degrees}; their standard deviation is "
         )
         yield CheckResult("info", name, f"{message}at least step/√12 = {step / math.sqrt(12):.2g} {unit}")
-    true = bool(np.isfinite(read.errors).any())
-    # A local line through an IMU or phases does not follow the motion.
-    for k, column in enumerate(read.columns if kind.averaged else ()):
-        known = autocorrelation(read, (read.errors if true else about)[:, k])
-        if known is None or not (true or known.resolved):
-            continue
-        what = f"errors of {column} against truth" if true else f"{column} about a line through {LINE_S:g} s"
-        lasting = f"uncorrelated after {known.interval:.2g} s"
-        if known.resolved:
-            size = float(f"{2 * known.time / known.interval:.2g}")
-            lasting = f"correlated for {'' if known.ended else 'more than '}{known.time:.2g} s"
-            lasting += f"; effective sample size: 1 in {size:g} readings"
-            lasting += "" if true else " at most; slower errors only show against truth"
-        message = f"{what}: standard deviation {known.sigma:.2g} {unit_of(column)}, {lasting}"
-        yield CheckResult("info", name, message)
+    for k, column in enumerate(read.columns):
+        if (known := autocorrelation(read, read.errors[:, k])) is not None:
+            sigma, interval, time = known
+            lasting = f"uncorrelated after {interval:.2g} s"
+            if time > 0:
+                size = f"; effective sample size: 1 in {float(f'{2 * time / interval:.2g}'):g} readings"
+                lasting = f"correlated for {time:.2g} s{size}" if time < math.inf else "correlated throughout"
+            spread = f"standard deviation {sigma:.2g} {unit_of(column)}"
+            yield CheckResult("info", name, f"errors of {column} against truth: {spread}, {lasting}")
 
 
 def repeated_share(read: Readings) -> float:
@@ -189,48 +146,32 @@ def quantisation_step(read: Readings, column: int) -> float | None:
     return None
 
 
-class Correlation(NamedTuple):
-    """`time`, s: at which the autocorrelation falls to 1/e. `interval`, s: between readings of a stream.
+def autocorrelation(read: Readings, errors: np.ndarray) -> tuple[float, float, float] | None:
+    """Of errors (N,) along the streams: standard deviation, interval, s, and the time to a correlation of 1/e.
 
-    `resolved`: it falls there after the first interval. `ended`: within the recording; else `time` is the longest lag.
-    `sigma`: the robust standard deviation about the mean of each stream.
+    The time is 0 within an interval, and infinite beyond the recording. None for too few errors, or constant ones.
     """
-
-    time: float
-    interval: float
-    resolved: bool
-    ended: bool
-    sigma: float
-
-
-def autocorrelation(read: Readings, errors: np.ndarray) -> Correlation | None:
-    """The autocorrelation of errors (N,) along the streams; None for too few of them, or constant ones."""
     seen = np.isfinite(errors)
     # Of readings with one time the first: copies would count as readings without an interval.
     seen[1:] &= (np.diff(read.times) > 0) | (np.diff(read.stream) != 0)
     stream, times, x = read.stream[seen], read.times[seen], errors[seen]
-    if len(x) < LEAST_PAIRS:
-        return None
     _, number, counts = np.unique(stream, return_inverse=True, return_counts=True)
     x = x - (np.bincount(number, x) / counts)[number]
-    sigma = float(robust_std(x[:, None])[0])
+    sigma = 1.4826 * float(np.median(np.abs(x))) if len(x) >= LEAST_PAIRS else 0.0
     if sigma == 0.0:
         return None
     x = np.clip(x, -BOUND * sigma, BOUND * sigma)
-    variance = float(np.mean(x * x))
-    before, at, interval, lag, level = 1.0, 0.0, math.nan, 1, math.exp(-1.0)
-    longest = counts.max() // 4
-    while lag <= longest:
+    variance, level = float(np.mean(x * x)), math.exp(-1.0)
+    before, at, interval, lag = 1.0, 0.0, math.nan, 1
+    while lag <= counts.max() // 4:
         pairs = stream[lag:] == stream[:-lag]
-        count = int(np.count_nonzero(pairs))
-        if count < LEAST_PAIRS:
+        if (count := int(np.count_nonzero(pairs))) < LEAST_PAIRS:
             break
         some = slice(None, None, 1 + len(pairs) // MOST_TIMES)
         later = float(np.median((times[lag:][some] - times[:-lag][some])[pairs[some]]))
         interval = later if lag == 1 else interval
-        value = float(np.einsum("n,n->", x[lag:] * pairs, x[:-lag])) / count / variance
+        value = float(np.sum(x[lag:] * pairs * x[:-lag])) / count / variance
         if value < level:
-            fallen = at + (later - at) * (before - level) / (before - value)
-            return Correlation(fallen, interval, lag > 1, True, sigma)
+            return sigma, interval, (at + (later - at) * (before - level) / (before - value)) * (lag > 1)
         before, at, lag = value, later, max(lag + 1, int(1.25 * lag))
-    return None if math.isnan(interval) else Correlation(at, interval, True, False, sigma)
+    return None if math.isnan(interval) else (sigma, interval, math.inf)

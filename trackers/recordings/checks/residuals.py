@@ -1,18 +1,13 @@
-"""Bias, spread, slope, delay and outliers of the readings of each anchor, station or tag against truth.
-
-And how the columns of signal quality go with the errors.
-"""
+"""Bias, spread, slope, delay and outliers of the readings of each anchor, station or tag against truth."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from itertools import groupby
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import polars as pl
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.compared import Compared, compared
@@ -20,100 +15,73 @@ from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, wrapped
 
-OUTLIER, SHOWN = 5.0, 24
-"""Robust standard deviations beyond which a reading is an outlier; most anchors, stations or tags with a line each."""
-
-LAG_S, CORRELATED, LEAST_RATED = 0.1, 10, 40
-"""Half the time over which the rate of a predicted reading is taken, s; readings that weigh as one for the standard
-errors of slope and delay, since errors last; least number of readings with a true value and a quality."""
+OUTLIER, SHOWN, LAG_S, CORRELATED = 5.0, 24, 0.1, 10
+"""Robust standard deviations beyond which a reading is an outlier; most sensors with a line each; half the time over
+which the rate of a predicted reading is taken, s; readings that weigh as one for standard errors, since errors last."""
 
 
 class Residuals(NamedTuple):
-    """The errors of one column of a group against truth, in m or rad.
+    """The errors of each group and column (G, m) against truth, in m or rad; NaN where readings do not determine one.
 
-    `bias`: their median. `spread`: their robust standard deviation. `slope`: the change of the error per unit of the
-    true value. `delay`: s, by which readings come late. `outliers`: the share beyond `OUTLIER` spreads of the bias. NaN
-    where the readings do not determine a number.
+    `bias`: their median. `spread`: their robust standard deviation. `outliers`: the share beyond `OUTLIER` of these.
+    `slope`: the change of the error per unit of the true value. `delay`: s, by which readings come late.
     """
 
-    group: str
-    column: str
-    bias: float
-    spread: float
-    slope: float
-    delay: float
-    outliers: float
+    bias: Float[np.ndarray, "G m"]
+    spread: Float[np.ndarray, "G m"]
+    outliers: Float[np.ndarray, "G m"]
+    slope: Float[np.ndarray, "G m"]
+    delay: Float[np.ndarray, "G m"]
 
 
-def residuals(view: Compared) -> list[Residuals]:
+def residuals(view: Compared) -> Residuals:
     """The errors of each group and column against truth."""
-    errors, result = view.errors(), []
+    errors = view.errors()
     if view.kind.difference:
         errors = errors + view.medians(errors)[view.sensors.number[:, 1]]  # of the one anchor alone
-    # The slope is of the errors after the delay: over the delay a reading does not change linearly.
-    delays = np.zeros(errors.shape)
-    for _ in range(2):
-        fits = {key: _slope_and_delay(view, key, delays) for key in np.ndindex(len(view.ids), len(view.columns))}
-        for (k, c), (_, delay) in fits.items():
-            delays[view.group == k, c] = np.nan_to_num(delay)
-    for (k, c), (slope, delay) in fits.items():
-        e = errors[view.group == k, c]
-        e = e[np.isfinite(e)]
-        if len(e):
-            bias, spread, outlying = _about_median(e)
-            result.append(Residuals(view.ids[k], view.columns[c], bias, spread, slope, delay, float(outlying.mean())))
-    return result
+    result = np.full((5, len(view.ids), errors.shape[1]), np.nan)
+    for k in range(len(view.ids)):
+        part, e = view.of_rows(view.group == k), errors[view.group == k]
+        result[0, k] = known_median(e)
+        result[1, k] = 1.4826 * known_median(np.abs(e - result[0, k]))
+        away, seen = np.abs(e - result[0, k]) > np.maximum(OUTLIER * result[1, k], 1e-9), np.isfinite(e).sum(axis=0)
+        result[2, k] = np.where(seen > 0, away.sum(axis=0) / np.maximum(seen, 1), np.nan)
+        for c in range(0 if view.kind.common else e.shape[1]):
+            result[3:, k, c] = _slope_and_delay(part, c)
+    return Residuals(*result)
 
 
-def _about_median(e: Float[np.ndarray, " n"]) -> tuple[float, float, Bool[np.ndarray, " n"]]:
-    """The median of errors, their robust standard deviation, and which of them are outliers."""
-    median = float(np.median(e))
-    spread = 1.4826 * float(np.median(np.abs(e - median)))
-    return median, spread, _outlying(e - median, spread)
+def _slope_and_delay(view: Compared, c: int) -> tuple[float, float]:
+    """Slope and delay of the readings of a column of one group, NaN within three standard errors of zero.
 
-
-def _outlying(e: Float[np.ndarray, " n"], spread: float) -> Bool[np.ndarray, " n"]:
-    return np.asarray(np.abs(e) > max(OUTLIER * spread, 1e-9))
-
-
-def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -> tuple[float, float]:
-    """Slope and delay of the readings of a group and column, NaN within three standard errors of zero.
-
-    `delays` (N, m): those found before, about which the readings are linearised.
+    The slope is of the errors after the delay: over the delay a reading does not change linearly.
     """
-    k, c = key
-    of_group = view.group == k
-    if not of_group.any():
-        return math.nan, math.nan  # a sensor of other readings that has too few of its own
-    part = view.of_rows(of_group)
-    at = delays[of_group, c]
-    true, before, after = (part.later(at + lag).predicted()[:, c] for lag in (0.0, LAG_S, -LAG_S))
-    change = wrapped((after - before)[:, None], view.columns[c : c + 1])[:, 0]
-    e = wrapped((part.values[:, c] - true)[:, None], view.columns[c : c + 1])[:, 0]
-    known = np.isfinite(e) & np.isfinite(change)
-    e, true, rate = e[known], true[known], change[known] / (2 * LAG_S)
-    if len(e) < 3 * CORRELATED:
-        return math.nan, math.nan
-    inside = ~_about_median(e)[2]
-    e, true, rate = e[inside], true[inside], rate[inside]
-    regressors = np.stack([np.ones(len(e)), true - true.mean(), -rate], axis=1)
-    if view.kind.position:
-        regressors[:, 1] = 0.0
-    used = np.sqrt(np.mean(regressors**2, axis=0)) > np.array([0.0, 0.2, 0.02])
-    A = regressors[:, used]
-    fit = np.linalg.lstsq(A, e, rcond=None)[0]
-    variance = float(np.mean((e - A @ fit) ** 2))
-    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(A.T @ A)), 0.0) * variance * CORRELATED)
-    values, sigmas = np.zeros(3), np.full(3, np.inf)
-    values[used], sigmas[used] = fit, errors
-    values[2] += float(at[0])
-    slope, delay = (x if abs(x) > 3 * s else math.nan for x, s in zip(values[1:], sigmas[1:], strict=True))
-    return float(slope), float(delay)
+    columns, delay = view.columns[c : c + 1], 0.0
+    for _ in range(2):
+        true, after, before = (
+            view.kind.values_at(view.later(delay + lag).positions, view.sensors)[:, c] for lag in (0.0, -LAG_S, LAG_S)
+        )
+        e, change = (wrapped(x[:, None], columns)[:, 0] for x in (view.values[:, c] - true, after - before))
+        known = np.isfinite(e) & np.isfinite(change)
+        away = np.abs(e - np.median(e[known])) if known.any() else e
+        known &= away <= OUTLIER * 1.4826 * np.median(away[known]) if known.any() else False
+        if known.sum() < 3 * CORRELATED:
+            return math.nan, math.nan
+        true, e = true[known] - true[known].mean(), e[known]
+        A = np.stack([np.ones(len(e)), true * (not view.kind.position), -change[known] / (2 * LAG_S)], axis=1)
+        A *= np.sqrt(np.mean(A**2, axis=0)) > [0.0, 0.2, 0.02]
+        fit = np.linalg.lstsq(A, e, rcond=None)[0]
+        variance = CORRELATED * np.abs(np.diag(np.linalg.pinv(A.T @ A))) * np.mean((e - A @ fit) ** 2)
+        fit[2] += delay
+        slope, late = np.where((np.abs(fit) > 3 * np.sqrt(variance)) & A.any(axis=0), fit, np.nan)[1:]
+        delay = float(np.nan_to_num(late))
+    return float(slope), float(late)
 
 
 def typical_delay(view: Compared) -> float:
     """Seconds by which readings come late against truth, NaN where most groups and columns do not determine it."""
-    delays = np.array([entry.delay for entry in residuals(view)])
+    found = residuals(view)
+    delays = found.delay[np.isfinite(found.bias)]
     return float(np.nanmedian(delays)) if 2 * np.isfinite(delays).sum() > len(delays) else math.nan
 
 
@@ -124,102 +92,36 @@ def delay_against_truth(recording: RecordingFolder, table: str) -> float:
 
 
 def check_residuals(view: Compared) -> Iterator[CheckResult]:
-    """A line for each anchor, station or tag; the range of their biases where there are many.
+    """A line for each anchor, station or tag, or for all where there are many of them.
 
     A warning where the azimuths of all stations are off to one side by more than a station's own error.
     """
-    kind = view.kind
-    entries = [] if kind.numbered else residuals(view)
-    turned = np.array([entry.bias for entry in entries if entry.column == "azimuth_rad"])
-    one_side = len(turned) and abs(np.sign(turned).sum()) == len(turned)
-    if one_side and np.abs(turned).min() >= kind.columns[0].bias:
-        off = f"azimuths of all stations are off by about {_size(float(np.median(turned)), view, '+')}"
-        fix = "turned against rig.toml; correct rotation_wxyz, or calibrate"
-        yield CheckResult("warning", kind.name, f"{off}: {fix}")
-    if kind.numbered:
-        lines = [_of_array(view, k) for k in range(min(len(view.ids), SHOWN))]
-    elif len(view.ids) > SHOWN:
-        lines = [_of_many([entry for entry in entries if entry.column == column], view) for column in view.columns]
-    else:
-        lines = [_of_group(list(group), view) for _, group in groupby(entries, lambda entry: entry.group)]
-    yield from (CheckResult("info", kind.name, line) for line in lines)
-
-
-def _of_array(view: Compared, k: int) -> str:
-    """The offsets of a station's antennas, and the spread and outliers of its phases about them."""
-    e = view.errors()[view.group == k]
-    e = e[:, np.isfinite(e).any(axis=0)]
-    offset = np.nanmedian(e, axis=0)
-    about = wrapped(e - offset, view.columns[: e.shape[1]])
-    about = about[np.isfinite(about)]
-    spread = 1.4826 * float(np.median(np.abs(about)))
-    return (
-        f"{view.kind.noun} {view.ids[k]} against truth: offsets of antennas {offset.min():+.2f} to {offset.max():+.2f} "
-        f"rad, spread {spread:.2f} rad, outliers {100 * _outlying(about, spread).mean():.2g} %"
-    )
-
-
-def _of_group(entries: Sequence[Residuals], view: Compared) -> str:
-    parts = []
-    for entry in entries:
-        name = "" if len(view.columns) == 1 else f"{entry.column.rpartition('_')[0]} "
-        parts.append(f"{name}bias {_size(entry.bias, view, '+')}, spread {_size(entry.spread, view)}")
-        if math.isfinite(entry.slope):
-            parts[-1] += f", slope {100 * entry.slope:+.2g} %"
-    delays = [entry.delay for entry in entries if math.isfinite(entry.delay)]
-    if delays:
-        delay = float(np.median(delays))
-        parts.append(f"{'late' if delay > 0 else 'early'} by {abs(delay):.2g} s")
-    parts.append(f"outliers {100 * max(entry.outliers for entry in entries):.2g} %")
-    return f"{view.kind.noun} {entries[0].group} against truth: {'; '.join(parts)}"
-
-
-def _of_many(entries: Sequence[Residuals], view: Compared) -> str:
-    bias, spread, outliers = np.array([(entry.bias, entry.spread, entry.outliers) for entry in entries]).T
-    biases = f"bias {_size(bias.min(), view, '+')} to {_size(bias.max(), view, '+')}"
-    return (
-        f"{entries[0].column} of {len(entries)} {view.kind.noun}s against truth: {biases}, "
-        f"median spread {_size(np.median(spread), view)}, outliers {100 * outliers.mean():.2g} %"
-    )
-
-
-def _size(x: float, view: Compared, sign: str = "") -> str:
-    return f"{np.degrees(x):{sign}.1f}°" if view.kind.unit == "rad" else f"{x:{sign}.2f} m"
-
-
-def check_quality(recording: RecordingFolder, name: str) -> Iterator[CheckResult]:
-    """A line for each column of quality of a table, on how errors go with it; none without truth."""
-    kind = KINDS[name]
-    columns = kind.layout(recording.tables[name].columns).quality
-    if kind.predicted is None or not kind.averaged or "truth" not in recording.tables or not columns:
-        return
-    rows = recording.rows(name)
-    measured = kind.measured(recording.rig, rows).usable
-    errors = measured.errors(recording.paths.at(rows.tags, rows.starts, rows.times)[0])
-    for sensor in np.unique(measured.sensors.number[:, 0]):
-        part = measured.sensors.number[:, 0] == sensor
-        errors[part] -= known_median(errors[part])
-    unit, factor = kind.shown
-    for column, quality in zip(columns, rows.floats(columns).T, strict=True):
-        known = [np.isfinite(quality) & np.isfinite(e) for e in errors.T]
-        parts = [
-            f"{value} {_relation(quality[k], factor * e[k], unit)}"
-            for value, k, e in zip(measured.columns, known, errors.T, strict=True)
-            if k.sum() >= LEAST_RATED and np.ptp(quality[k]) > 0.0
-        ]
+    kind, found = view.kind, residuals(view)
+    unit, factor, digits = ("°", np.degrees(1.0), 1) if kind.angles else (f" {kind.unit}", 1.0, 2)
+    bias, turned = factor * found.bias, found.bias[np.isfinite(found.bias[:, 0]), 0]
+    if (
+        kind.angles
+        and len(turned)
+        and abs(np.sign(turned).sum()) == len(turned)
+        and np.abs(turned).min() >= kind.columns[0].bias
+    ):
+        off = f"azimuths of all stations are off by about {np.degrees(np.median(turned)):+.1f}°"
+        yield CheckResult("warning", kind.name, f"{off}: turned against rig.toml; correct rotation_wxyz, or calibrate")
+    many = len(view.ids) > SHOWN
+    for k in range(1 if many else len(view.ids)):
+        of, parts = slice(None) if many else slice(k, k + 1), list[str]()
+        for c in [c for c in range(1 if kind.numbered else len(view.columns)) if np.isfinite(bias[of, c]).any()]:
+            # Of an array the columns are antennas.
+            low, high = (f(bias[of] if kind.numbered else bias[of, c]) for f in (np.nanmin, np.nanmax))
+            name = "" if kind.numbered or len(view.columns) == 1 else f"{view.columns[c].rpartition('_')[0]} "
+            name += f"bias {low:+.{digits}f}" + (f" to {high:+.{digits}f}" if high > low else "")
+            spread = factor * np.nanmedian(found.spread[of] if kind.numbered else found.spread[of, c])
+            slope = "" if many or not np.isfinite(found.slope[k, c]) else f", slope {100 * found.slope[k, c]:+.2g} %"
+            parts.append(f"{name}{unit}, spread {spread:.{digits}f}{unit}{slope}")
+        if not many and np.isfinite(found.delay[k]).any():
+            delay = float(np.nanmedian(found.delay[k]))
+            parts.append(f"{'late' if delay > 0 else 'early'} by {abs(delay):.2g} s")
         if parts:
-            what = f"{column} and errors against truth less the median of each {kind.noun}"
-            yield CheckResult("info", name, f"{what}: {'; '.join(parts)}")
-
-
-def _relation(quality: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"], unit: str) -> str:
-    # Ties have the mean of their ranks.
-    of_quality, *of_errors = (pl.Series(x).rank().to_numpy() for x in (quality, np.abs(errors), errors))
-    sized, signed = (float(np.corrcoef(of_quality, ranks)[0, 1]) for ranks in of_errors)
-    # A root mean square would show a few wild values.
-    low, high = np.quantile(quality, [0.25, 0.75])
-    lowest, highest = (np.quantile(np.abs(errors[part]), 0.6827) for part in (quality <= low, quality >= high))
-    return (
-        f"rank correlation {sized:+.2f} (size), {signed:+.2f} (with sign), 68th percentile of the size "
-        f"{lowest:.2g}{unit} in the lowest quarter, {highest:.2g}{unit} in the highest"
-    )
+            whose = f"{len(view.ids)} {kind.noun}s" if many else f"{kind.noun} {view.ids[k]}"
+            parts.append(f"outliers {100 * np.nanmax(found.outliers[of]):.2g} %")
+            yield CheckResult("info", kind.name, f"{whose} against truth: {'; '.join(parts)}")

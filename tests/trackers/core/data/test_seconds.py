@@ -13,7 +13,7 @@ from trackwright.trackers.core.data.seconds import moment, place_in_time, second
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.from_arrays import fix_recording, range_recording
 from trackwright.trackers.recordings.checks.all_checks import check
-from trackwright.trackers.recordings.checks.sampling import anomalies
+from trackwright.trackers.recordings.checks.rules import check_rows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import first_time
 
@@ -88,7 +88,7 @@ def test_notices_and_checks_name_times_that_count_from_1970_by_the_seconds_since
     )
     truth = pl.DataFrame({"t_s": times + 7200.0, "tag": "T", "x_m": 1.0, "y_m": 0.0, "z_m": 0.0})
     rig = Rig("hall", {"A": np.zeros(3)})
-    gaps, outlier = anomalies({"ranges": ranges}, rig)
+    gaps, outlier = (one.message for one in check_rows(rig, {"ranges": ranges}))
     assert "the longest 20.1 s before 26 s after the start" in gaps
     assert outlier.endswith("the worst 900 at 3 s after the start (tag T, anchor A)")
     said = " ".join(

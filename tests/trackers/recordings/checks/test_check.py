@@ -47,7 +47,7 @@ def test_many_streams_get_one_summary_line():
 
     tables = good().tables | {name: crowd(good().tables[name]) for name in ("ranges", "truth")}
     results = check(replace(good(), rig=replace(good().rig, tags={}), tables=tables))
-    assert "ranges: 300 tags, 4 anchors: 60000 rows, 10 Hz each" in _messages(results, "info")
+    assert "ranges: 300 tags, 4 anchors: 60000 rows, 10 Hz" in _messages(results, "info")
     assert len(results) < 40
     once = with_rows("ranges", pl.col("t_s") == 0.0)(replace(good(), rig=replace(good().rig, tags={}), tables=tables))
     assert "ranges: 300 tags, 4 anchors: 1200 rows" in _messages(check(once), "info")
@@ -67,7 +67,6 @@ def test_an_anomaly_is_a_notice_and_reported(tmp_path: Path, name):
 def test_tables_made_in_memory_are_checked_for_anomalies_too():
     results = check(with_rows("ranges", ~pl.col("t_s").is_between(1.0, 3.0))(good()))
     assert _has(results, "warning", "ranges", "gaps longer than 1 s: 8")
-    assert _has(results, "info", "anchor A1, tag T1", "long gaps: 1, the longest 2.2 s before t_s 3.1")
 
 
 def test_one_sensor_may_be_switched_on_after_another():

@@ -14,7 +14,7 @@ import pytest
 
 from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import Threads, WorkerExecutor
-from trackwright.experiments.jobs.run import Store, finished, run, written
+from trackwright.experiments.jobs.store import Store, finished, run
 from trackwright.trackers.core.errors import UnusableInput
 
 
@@ -24,13 +24,11 @@ class Numbers(Store):
     def __init__(self, folder):
         self.folder = folder
 
-    def kept(self, item):
-        path = self.folder / f"{item}.txt"
-        return int(path.read_text()) if path.exists() else None
+    def read(self, item):
+        return int((self.folder / f"{item}.txt").read_text())
 
-    def keep(self, item, result):
-        written(self.folder, {f"{item}.txt": lambda path: path.write_text(str(result))})
-        return result
+    def files(self, item, result):
+        return {self.folder / f"{item}.txt": str(result)}
 
 
 class KilledWorker(Exception):  # noqa: N818 - the name in Dask
@@ -93,7 +91,7 @@ def test_a_part_that_fails_without_a_substitute_ends_the_run_and_what_has_finish
 WAITS = """
 from concurrent.futures import Future
 import polars
-from trackwright.experiments.jobs.run import finished
+from trackwright.experiments.jobs.store import finished
 polars.LazyFrame({"a": [1]}).collect()
 print("waits", flush=True)
 list(finished(lambda item: Future(), [0]))
