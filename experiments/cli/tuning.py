@@ -269,6 +269,8 @@ def _write_trace(out: Path, result: tw.FitResult, objective: str, unit: str, fig
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
     if figure is None:
         return []
+    from trackwright.experiments.pages.charts.drawing import write_charts
+
     about = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
     units = [p.example.unit for p in result.parameters for _ in range(p.size)]
     from trackwright.experiments.pages.charts.drawing import write_charts

@@ -28,7 +28,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#9aa5b1", "axes.linewidth": 0.7,
     "axes.grid": True, "axes.axisbelow": True, "axes.formatter.useoffset": False, "grid.color": "#e6eaee",
     "xtick.labelsize": 8.5, "ytick.labelsize": 8.5, "xtick.major.size": 2.5, "ytick.major.size": 2.5,
-    "legend.frameon": False, "legend.fontsize": 8, "savefig.dpi": 150,
+    "savefig.dpi": 150,
 }  # fmt: skip
 
 
@@ -41,8 +41,8 @@ def _styled() -> Iterator[None]:
         yield
 
 
-def draw(chart: Chart, axes: Axes | None = None) -> Axes:
-    """Draws the chart on axes, new ones where none are given, and returns them."""
+def draw(chart: Chart, axes: Axes | None = None, above: bool = False) -> Axes:
+    """Draws the chart on these or new axes and returns them; `above`: whether the legend is there, not inside."""
     if axes is None:
         import matplotlib.pyplot as plt
 
@@ -63,9 +63,8 @@ def draw(chart: Chart, axes: Axes | None = None) -> Axes:
     if chart.equal:
         axes.set_aspect("equal")
     if axes.get_legend_handles_labels()[1]:
-        axes.legend(
-            loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=max(1, int(chart.width / 2)), borderaxespad=0.2
-        )
+        place = {"loc": "lower left", "bbox_to_anchor": (-0.01, 1.0), "ncols": max(1, int(chart.width / 2))}
+        axes.legend(fontsize=8, frameon=False, **(place if above else {"loc": "best"}))
     return axes
 
 
@@ -110,7 +109,7 @@ def write(chart: Chart, path: Path | str) -> Path:
     kind = Path(path).suffix[1:]
     with _styled():
         figure = Figure(figsize=chart.size, facecolor="white", layout="constrained")
-        draw(chart, figure.subplots())
+        draw(chart, figure.subplots(), above=True)
         figure.suptitle(
             _literal("\n".join(textwrap.wrap(chart.title, int(12 * chart.width)))), x=0.02, ha="left", fontsize=10
         )

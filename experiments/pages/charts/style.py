@@ -93,7 +93,7 @@ class Field:
 class Chart:
     """A chart: its name in a file's name, its title, the labels of its axes and what is drawn, the lowest first.
 
-    `xlim`, `ylim`: ends of the axes, None for those of the data; `robust`: without the last 2 % of these in y. `log`:
+    `xlim`, `ylim`: ends of the axes, None for those of the data; `robust`: without the last 1 % of these in y. `log`:
     the logarithmic axes, as "xy". `xticks`, `yticks`: texts by their places. `equal`: whether both axes have one scale.
     `note`: small words below; `caption`: what a page says beside them. `width`, `height`: inches, None for a height by
     the shape of the limits.
@@ -130,7 +130,7 @@ class Chart:
 
     def limits(self, axis: str) -> tuple[float, float]:
         """The ends of an axis, x or y; those not given from the data with a margin."""
-        log, tail, ends = axis in self.log, 0.02 * (self.robust and axis == "y"), []
+        log, tail, ends = axis in self.log, 0.005 * (self.robust and axis == "y"), []
         for filled in (False, True):
             own = [part for part in self.parts if (isinstance(part, Line) and part.filled) == filled]
             values = np.concatenate([np.zeros(0), *(np.ravel(np.asarray(getattr(part, axis), float)) for part in own)])
