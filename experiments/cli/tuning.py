@@ -273,7 +273,6 @@ def _write_trace(out: Path, result: tw.FitResult, objective: str, unit: str, fig
 
     about = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
     units = [p.example.unit for p in result.parameters for _ in range(p.size)]
-    from trackwright.experiments.pages.charts.drawing import write_charts
 
     charts = [parameter_chart(traces, k, *named) for k, named in enumerate(zip(names, units, strict=True))]
     return write_charts(out, [objective_chart(traces, about.get(objective, objective)), *charts], figure)
