@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def _number(low: float, high: float = math.inf, words: str = "") -> Callable[[Any, Any], None]:
-    """Refuses what is no finite number from `low` to `high`; of tuples each, None never."""
+    """A validator, which refuses what is no finite number from `low` to `high`."""
 
     def check(_: Any, value: Any) -> None:
         if value is not None and not (low <= value <= high and math.isfinite(value)):
