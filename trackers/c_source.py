@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -25,7 +26,10 @@ from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import freeze, tunables
 from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.core.run.scan import Carry, carry_of, first_carry, in_form, initial_carry
-from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
+from trackwright.trackers.recordings.atomic import write_whole
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.named_tracker import NamedTracker
 
 SIGNS = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/", "and": "&", "or": "|"}
 SIGNS |= {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
@@ -101,7 +105,7 @@ def one_row(tracker: Any, carry: Carry, row: Row, starts: bool) -> tuple[Carry, 
 
 
 def c_source(
-    tracker: Tracker, recording: Recording, name: str = "tracker", about: str = "", double: bool = False
+    tracker: AbstractTracker, recording: Recording, name: str = "tracker", about: str = "", double: bool = False
 ) -> Source:
     """The C source of a tracker for rows as those of a recording.
 
@@ -160,6 +164,22 @@ def _traced(function: Callable[..., Any], double: bool, **arguments: Any) -> _Te
     results = program.run(live, closed.consts, [x for x, u in zip(names, used, strict=True) if u])
     needed, lines = program.needed([x for array in results for x in array.ravel()])
     return _Text(lines, results, needed, shapes)
+
+
+def write_c(named: NamedTracker, recording: RecordingFolder, out: Path, double: bool = False) -> list[Path]:
+    """Writes the C source of a tracker for a recording: `out`, its header, and the rows of the first tag as CSV.
+
+    The name of the file is that of the functions. Raises UnusableInput as `c_source`, and for several trackers.
+    """
+    batches = named.batches(recording)
+    if len(batches) > 1:
+        raise UnusableInput(f"{recording.path}: its tags need {len(batches)} trackers; expected one; choose a --tag")
+    first = batches[0].trajectories[0].recording
+    name = re.sub(r"\W", "_", out.stem)
+    source = c_source(batches[0].tracker, first, name, f"{named.name} for {recording.name}", double)
+    rows = "".join(",".join(map(repr, row)) + "\n" for row in rows_of(first, source.columns).tolist())
+    files = {out: source.body, out.with_name(f"{name}.h"): source.header, out.with_suffix(".csv"): rows}
+    return [write_whole(path, text) for path, text in files.items()]
 
 
 def rows_of(recording: Recording, columns: Sequence[str]) -> np.ndarray:

@@ -7,27 +7,54 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-Format = Literal["tum", "kitti", "csv", "ros2", "rrd"]
+from trackwright.experiments.cli.options import File, Tracker
+
+Format = Literal["tum", "kitti", "csv", "ros2", "rrd", "c"]
 
 
 def export(
     run: Path, /, *, format: Format, out: Annotated[Path, Parameter(metavar="PATH")], tag: str | None = None,
-    force: bool = False,
+    tracker: Tracker | None = None, noise: File | None = None, force: bool = False,
 ) -> int:  # fmt: skip
-    """Export tracks or truth: TUM, KITTI, CSV, ROS 2 bag, Rerun.
+    """Export tracks or truth: TUM, KITTI, CSV, ROS 2 bag, Rerun; or a tracker as C.
 
     csv has every column of tracks.parquet; ros2 and rrd have the covariances of the positions. tum and kitti have
     positions alone (attitude: the identity where there is none); kitti has the times in a second file, NAME.times.txt.
+
+    c is a tracker for a recording folder, with its header, and the rows of the first tag as CSV, which `main` replays.
 
     Args:
         run: the output folder of `track`; or a recording folder, of which the truth is written.
         format: of the file; ros2 needs the extra trackwright[ros], rrd the extra trackwright[rerun].
         out: the file; of several tracks in tum or kitti, and for ros2, a new folder.
         tag: this tag alone.
+        tracker: of c; default: as in `--noise`, else the one that fits the tables.
+        noise: of c: a tuned.toml of `trackwright tune`.
         force: replace a file that exists.
     """
+    if format == "c":
+        return _export_c(run, out, tag, tracker, noise, force)
     from trackwright.trackers.exchange.exported_tracks import export_tracks
 
     for line in export_tracks(run, format, out, tag, force):
         print(line)
+    return 0
+
+
+def _export_c(run: Path, out: Path, tag: str | None, tracker: str | None, noise: Path | None, force: bool) -> int:
+    from trackwright.trackers.c_source import write_c
+    from trackwright.trackers.catalogue import build, fitting, run_files
+    from trackwright.trackers.recordings.archives import require_new
+    from trackwright.trackers.recordings.folder import read_recording
+    from trackwright.trackers.recordings.selection import Selection
+    from trackwright.tuning.tuned_file import read_tuned
+
+    require_new(out, "tracker.c", force)
+    tuned = None if noise is None else read_tuned(noise)
+    name = tracker or (None if tuned is None else tuned.tracker)
+    run_files(name)
+    folder = Selection(() if tag is None else (tag,)).of(read_recording(run))
+    named = build(name or fitting(folder), folder)
+    written = write_c(named if tuned is None else tuned.of(named, noise), folder, out)
+    print(f"wrote {', '.join(map(str, written))}")
     return 0

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
 import trackwright as tw
+from tests.in_process import assert_refused, trackwright
 from trackwright.trackers.c_source import c_source, rows_of
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
@@ -103,3 +105,16 @@ def test_a_tracker_that_draws_or_looks_back_is_refused(world, name):
     batch = _batch(world, name)
     with pytest.raises(tw.UnusableInput, match="expected"):
         c_source(batch.tracker, batch.trajectories[0].recording)
+
+
+def test_the_command_writes_source_header_and_rows_that_main_replays(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tw.write_recording(tw.simulate.agv(2, 1, rows=60).folder(), "agv")
+    said = trackwright("export", "agv", "--format", "c", "--tracker", "fix-kf", "--tag", "1", "--out", "tag.c")
+    assert said.code == 0, said.err
+    assert all(name in said.out for name in ("tag.c", "tag.h", "tag.csv"))
+    subprocess.run([COMPILERS[0], *FLAGS, "tag.c", "-o", "tag", "-lm"], check=True)
+    done = subprocess.run(["./tag"], input=Path("tag.csv").read_text(), capture_output=True, text=True, check=True)
+    assert len(done.stdout.splitlines()) == 60
+    again = trackwright("export", "agv", "--format", "c", "--out", "tag.c")
+    assert_refused(again, "exists; expected a new file")

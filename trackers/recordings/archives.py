@@ -99,9 +99,10 @@ def require_output(path: Path) -> None:
 
 
 def require_new(out: Path, name: str, force: bool) -> None:
-    """Raises UnusableInput for a file that is no .toml, as `name`, or that exists and is not to be replaced."""
-    if out.suffix != ".toml" or out.is_dir():
-        raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give {name} in a folder")
+    """Raises UnusableInput for a file without the ending of `name`, or that exists and is not to be replaced."""
+    if out.suffix != Path(name).suffix or out.is_dir():
+        ending = Path(name).suffix
+        raise UnusableInput(f"--out {out}: expected a file with the ending {ending}; give {name} in a folder")
     if out.exists() and not force:
         raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
     require_output(out.parent)
