@@ -13,6 +13,7 @@ import pytest
 import trackwright as tw
 from tests.in_process import assert_refused, trackwright
 from trackwright.trackers.c_source import c_source, rows_of
+from trackwright.trackers.recordings.folder import write_recording
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-DTAG_MAIN")
@@ -109,7 +110,7 @@ def test_a_tracker_that_draws_or_looks_back_is_refused(world, name):
 
 def test_the_command_writes_source_header_and_rows_that_main_replays(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    tw.write_recording(tw.simulate.agv(2, 1, rows=60).folder(), "agv")
+    write_recording(tw.simulate.agv(2, 1, rows=60).folder(), Path("agv"))
     said = trackwright("export", "agv", "--format", "c", "--tracker", "fix-kf", "--tag", "1", "--out", "tag.c")
     assert said.code == 0, said.err
     assert all(name in said.out for name in ("tag.c", "tag.h", "tag.csv"))
