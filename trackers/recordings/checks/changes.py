@@ -219,10 +219,14 @@ def _of_truth(view: Compared) -> Iterator[Change]:
         wrong, shown = lambda x: abs(x[0]) > LEAST_FACTOR, lambda x: f"times {np.exp(x[0]):.3g}"
         times = partial(_with_values, of=lambda v, factor: v * np.exp(factor))
         yield Change("another unit or scale", cause, times, False, lambda _: scales[:, None], wrong, shown)
-    if moves(view):
-        longest = min(LONGEST_DELAY_S, 0.45 * float(np.ptp(view.times)))
-        delays = sorted(np.arange(-longest, longest, 0.5), key=abs)
-        yield _placed(view, centre, "delayed", 1.0, [4], [np.array([0.0, *centre, delay]) for delay in delays])
+    yield from [delayed(view)] if moves(view) else []
+
+
+def delayed(view: Compared) -> Change:
+    """The truth of some seconds before or after."""
+    longest, centre = min(LONGEST_DELAY_S, 0.45 * float(np.ptp(view.times))), np.nanmean(view.positions, axis=0)
+    delays = sorted(np.arange(-longest, longest, 0.5), key=abs)
+    return _placed(view, centre, "delayed", 1.0, [4], [np.array([0.0, *centre, delay]) for delay in delays])
 
 
 def _placed(
@@ -238,13 +242,14 @@ def _placed(
         origin, yaw = x[1:4] - about_vertical(x[0]) @ (centre * [1.0, mirror, 1.0]), np.degrees(half_turn(x[0]))
         again = "import the truth again with --align-truth, which fits the clock as well, or --transform "
         again += transform_text(*origin, yaw, *[x[4]] * int(x[4] != 0.0))
+        earlier = f"{abs(x[4]):.2f} s {'earlier' if x[4] > 0 else 'later'}"
         if what == "delayed":
             late = f"the {view.kind.name} come {abs(x[4]):.2f} s {'late' if x[4] > 0 else 'early'}"
-            return f"the measurements taken {x[4]:.2f} s before", f"{late}: clocks differ; {again}"
+            return f"the measurements taken {earlier}", f"{late}: clocks differ; {again}"
         words = (
             f"the truth {'mirrored (y flipped), ' * (mirror < 0)}{f'turned by {yaw:.1f}° and ' * (what != 'shifted')}"
         )
-        words += f"shifted by {_metres(origin)}" + (f", {x[4]:+.2f} s later" if x[4] else "")
+        words += f"shifted by {_metres(origin)}" + (f", and the measurements taken {earlier}" if x[4] else "")
         other = "the fixes" if view.kind.position else "rig.toml"
         fix = "bring both into one frame" if mirror < 0 else again
         return words, f"the truth has another origin or axes than {other}; {fix}"
