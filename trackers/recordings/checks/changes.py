@@ -130,10 +130,8 @@ def _of_rig(view: Compared) -> Iterator[Change]:
         other = Rotation.from_quat(q, scalar_first=True).as_matrix()
         order = "rotation_wxyz read as x, y, z, w", "the quaternion is written x, y, z, w; reorder it"
         cause = "the quaternion takes world vectors to array vectors; invert it (negate x, y, z)"
-        fixed += [
-            (*order, {"axes": other}),
-            ("rotation_wxyz inverted", cause, {"axes": np.swapaxes(sensors.axes, 1, 2)}),
-        ]
+        inverted = "rotation_wxyz inverted", cause, {"axes": np.swapaxes(sensors.axes, 1, 2)}
+        fixed += [(*order, {"axes": other}), inverted]
     if kind.angles:
         turned += [("the azimuth turned", partial(_with_values, of=lambda v, turn: v - [turn, 0.0]), "offset")]
         # An azimuth of a compass counts from north, clockwise.
@@ -147,9 +145,8 @@ def _of_rig(view: Compared) -> Iterator[Change]:
         for f in (0.001, 0.01):  # an array as small does not resolve directions: all phases are equal
             small = f * np.nanmax(np.abs(antennas), axis=(1, 2)) < 0.15 * sensors.wavelengths
             other = np.where(small[:, None, None], np.nan, f * antennas)
-            fixed += [
-                (f"antennas_m multiplied by {f:g}", f"antennas_m in {FACTORS[f]}; convert it", {"antennas": other})
-            ]
+            words, cause = f"antennas_m multiplied by {f:g}", f"antennas_m in {FACTORS[f]}; convert it"
+            fixed += [(words, cause, {"antennas": other})]
         scales = np.append(np.arange(-1.386, 1.4, 0.02), np.log([1e-3, 1e-2]))[:, None]
         cause = "wavelength_m or antennas_m in another unit or scale; correct rig.toml"
         wrong, shown = lambda x: abs(x[0]) >= LEAST_SCALE, lambda x: f"{np.exp(x[0]):.4g} times rig.toml's"
@@ -171,15 +168,12 @@ def _of_rig(view: Compared) -> Iterator[Change]:
         scaled = partial(_with_fields, places=f * sensors.places)
         yield Change(f"the positions of the {kind.noun}s multiplied by {f:g}", cause, scaled)
 
-    def around(v: Compared) -> list[np.ndarray]:
-        own = v.sensors.places[v.group[0]]
-        return [own, v.sensors.places.mean(axis=0), 2 * v.positions.mean(axis=0) - own]
-
-    place = partial(
-        _with_fields, places=lambda v, x: np.where(np.arange(len(v.ids))[:, None] == v.group[0], x, v.sensors.places)
-    )
-    yield Change("another position", "a wrong position in rig.toml; measure it again", place, True, around,
-                 shown=lambda x: f"at {_metres(x)}", of="place")  # fmt: skip
+    own = lambda v: v.sensors.places[v.group[0]]  # noqa: E731
+    around = lambda v: [own(v), v.sensors.places.mean(axis=0), 2 * v.positions.mean(axis=0) - own(v)]  # noqa: E731
+    moved = lambda v, x: np.where(np.arange(len(v.ids))[:, None] == v.group[0], x, v.sensors.places)  # noqa: E731
+    place, shown = partial(_with_fields, places=moved), lambda x: f"at {_metres(x)}"
+    cause = "a wrong position in rig.toml; measure it again"
+    yield Change("another position", cause, place, True, around, shown=shown, of="place")
 
 
 def _rescaled(view: Compared, x: Numbers) -> Compared:
@@ -191,11 +185,7 @@ def _rescaled(view: Compared, x: Numbers) -> Compared:
 
 def _of_truth(view: Compared) -> Iterator[Change]:
     """Changes of the unit, the axes, the place and the clock of the truth, or of the scale of what is no place."""
-    kind, centre, other = (
-        view.kind,
-        np.nanmean(view.positions, axis=0),
-        "the fixes" if view.kind.position else "rig.toml",
-    )
+    kind, centre = view.kind, np.nanmean(view.positions, axis=0)
     if kind.sensors or kind.position:
         for f, unit in FACTORS.items():
             scaled = partial(_with_fields, positions=f * view.positions)
@@ -204,6 +194,7 @@ def _of_truth(view: Compared) -> Iterator[Change]:
             # The maker's height is often of no use, or mirrored in the plane of the anchors.
             of = "harmless" if kind.position and axes.words == "the sign of z of the truth flipped" else ""
             moved = partial(_with_fields, positions=view.positions @ axes.matrix.T)
+            other = "the fixes" if kind.position else "rig.toml"
             cause = f"the truth has other axes than {other}; bring both into one frame"
             yield Change(axes.words, cause, moved, of=of)
         target = view.sensors.places.mean(axis=0) if kind.sensors else known_median(view.values)

@@ -28,8 +28,8 @@ EXPLAINED, NEARLY, BROKEN, FEW_PLACES = 2.0, 0.75, 10.0, 0.25
 """Errors left, in those that need no explanation, and share of rows that a change has to bring below three; ratio of
 the errors of one anchor to the others' from which it is broken; share of sensors whose places may be wrong."""
 
-LEAST_DELAY_S, DELAY_GAIN = 0.1, 2 / 3
-"""A warning of a delay needs so long a one, and errors that fall to this share."""
+LEAST_DELAY_S, DELAY_GAIN, DELAY_GROUPS = 0.1, 2 / 3, 24
+"""A warning of a delay needs so long a one, and errors that fall to this share; looked for in so many groups."""
 
 CLOSING = {"m": (0.15, 0.3, 0.45, 0.08), "rad": (0.06, 0.12, 0.3, 0.03)}
 """Contradictions of one moment: from which on one sensor is looked for; that need an explanation; that may remain with
@@ -82,7 +82,7 @@ def check_against_truth(view: Compared, calibrated: bool = False, more: Sequence
             yield CheckResult("warning", kind.name, f"{found}, {message}")
             return
     if named is None and kind.averaged:
-        yield from _late(view, before, typical_delay(view))
+        yield from _late(view, before, typical_delay(view.of_rows(view.group < DELAY_GROUPS)))
 
 
 def _upside_down(view: Compared, limit: np.ndarray) -> np.ndarray:
