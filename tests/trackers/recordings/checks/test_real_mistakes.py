@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -15,13 +16,7 @@ from tests.trackers.recordings.checks.made import Make, about_z, rotated, with_a
 from trackwright.trackers.recordings.checks.all_checks import quick_check
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 
-
-class Mistake(NamedTuple):
-    """A mistake made on a recording, and words of the message that names it."""
-
-    recording: str
-    words: tuple[str, ...]
-    make: Make
+Mistake = namedtuple("Mistake", "recording words make")  # the words are those of the message that names it
 
 
 def _swapped(things: dict[str, Any], first: int, second: int) -> dict[str, Any]:
