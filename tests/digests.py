@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.experiments.cli.runtime import keep_programs
+from trackwright.experiments.cli.console import keep_programs
 from trackwright.experiments.lab.subprocesses import recordings_folder, required_recordings
 
 ROOT = Path(__file__).parents[1]

@@ -78,6 +78,12 @@ def test_the_python_example_of_the_readme_runs_and_lowers_the_negative_log_likel
     assert len(names["table"]) == len(names["estimates"].to_polars())
 
 
+def test_the_page_for_those_who_come_from_filterpy_fits_their_matrices(tmp_path, monkeypatch):
+    names = _run("docs/coming-from.md", tmp_path, monkeypatch)
+    assert names["fitted"].value < names["fitted"].start_value
+    assert names["position"].shape == names["sigma"].shape == names["z"].shape
+
+
 @pytest.mark.slow
 def test_the_sentences_of_the_concepts_run_in_order_from_folders_and_from_arrays(tmp_path, monkeypatch):
     names = _run("docs/concepts.md", tmp_path, monkeypatch)

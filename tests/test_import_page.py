@@ -81,13 +81,13 @@ def test_every_command_of_the_page_runs_on_the_files_that_it_describes(files):
             ("ranges needs range_m", "found 't_s', 'anchor'"),
         ),
         (
-            "{'ranges': pl.DataFrame({'t_s': [None], 'anchor': ['A1'], 'range_m': [1.0]})}",
+            "{'fixes': pl.DataFrame({'t_s': [None], 'x_m': [0.0], 'y_m': [0.0], 'z_m': [0.0]})}",
             ("row 1, column t_s: no time",),
         ),
         ("{'fixes': pl.DataFrame({'t_s': [0.0], 'x_m': ['a'], 'y_m': [0.0], 'z_m': [0.0]})}", ("column x_m: 'a'",)),
         (
             "{'fixes': pl.DataFrame({'t_s': [0.0], 'x_m': [0.0], 'y_m': [0.0]})}",
-            ("no column gives", "an empty one where no height is measured"),
+            ("no column gives", "an empty column where no height is measured"),
         ),
         ("path.read()", ("my.log: bad.py:own fails (AttributeError in line 5:", "has no attribute 'read'")),
     ],

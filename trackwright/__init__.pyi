@@ -19,6 +19,7 @@ from trackwright.trackers.baselines.fixes import singer_tracker as singer_tracke
 from trackwright.trackers.baselines.switching import mirror_tracker as mirror_tracker
 from trackwright.trackers.baselines.switching import switching_tracker as switching_tracker
 from trackwright.trackers.baselines.windows import MovingWindow as MovingWindow
+from trackwright.trackers.c_source import c_source as c_source
 from trackwright.trackers.catalogue import TRACKERS as TRACKERS
 from trackwright.trackers.catalogue import build as build
 from trackwright.trackers.catalogue import tracker_for as tracker_for
@@ -86,6 +87,9 @@ from trackwright.trackers.from_arrays import phase_recording as phase_recording
 from trackwright.trackers.from_arrays import range_recording as range_recording
 from trackwright.trackers.line.tracker import line_grid_tracker as line_grid_tracker
 from trackwright.trackers.line.tracker import line_tracker as line_tracker
+from trackwright.trackers.linear import linear as linear
+from trackwright.trackers.linear import nonlinear as nonlinear
+from trackwright.trackers.linear import series as series
 from trackwright.trackers.mhk.tracker import mhk_tracker as mhk_tracker
 from trackwright.trackers.parts.fixes import FixSensor as FixSensor
 from trackwright.trackers.parts.fixes import fix_trajectories as fix_trajectories
@@ -177,6 +181,9 @@ __all__ = [
     "evaluate",
     "Evaluation",
     # trackers ready to run on arrays
+    "linear",
+    "nonlinear",
+    "series",
     "fix_tracker",
     "singer_tracker",
     "switching_tracker",
@@ -196,6 +203,7 @@ __all__ = [
     "direct_tracker",
     "DelayAndSum",
     "Smoothed",
+    "c_source",
     # parts of a tracker: filters, starts, track loss
     "AbstractTracker",
     "Tracker",

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trackwright.trackers.core.data.recording import Batch, Columns
+from trackwright.trackers.core.model.covariance import FEW
 from trackwright.trackers.core.run.chunks import CHUNK, piece_size, pieces
 from trackwright.trackers.recordings.tracks import by_length
 from trackwright.trackers.recordings.trajectories import Trajectory
@@ -35,9 +36,9 @@ class Unstacked:
         recordings = [trajectory.recording for trajectory in self.trajectories[start:stop]]
         return Columns.of(recordings).batch(self.steps).columns(0, stop - start)
 
-    def pieces(self, chunk: int, large_state: bool) -> Iterator[Batch]:
+    def pieces(self, chunk: int, most: int) -> Iterator[Batch]:
         """As `trackers.core.run.chunks.pieces`."""
-        size = piece_size(self.size, self.steps, chunk, large_state)
+        size = piece_size(self.size, self.steps, chunk, most)
         return (self.columns(start, start + size) for start in range(0, self.size, size))
 
 
@@ -50,9 +51,9 @@ def unstacked(trajectories: Sequence[Trajectory]) -> list[Unstacked]:
     return [Unstacked([trajectories[k] for k in numbers], steps) for numbers, steps in groups]
 
 
-def padded_size(batch: AnyBatch, chunk: int, large_state: bool) -> int:
+def padded_size(batch: AnyBatch, chunk: int, most: int) -> int:
     """The trajectories of all pieces of a batch, with padding."""
-    size = piece_size(batch.size, steps_of(batch), chunk, large_state)
+    size = piece_size(batch.size, steps_of(batch), chunk, most)
     return size * -(-batch.size // size)
 
 
@@ -74,14 +75,14 @@ class Pieces:
 
     batches: Sequence[AnyBatch]
     chunk: int = CHUNK
-    large_state: bool = False
+    most: int = FEW
 
     def __iter__(self) -> Iterator[Batch]:
         for batch in self.batches:
             if isinstance(batch, Unstacked):
-                yield from batch.pieces(self.chunk, self.large_state)
+                yield from batch.pieces(self.chunk, self.most)
             else:
-                yield from pieces(batch, self.chunk, self.large_state)
+                yield from pieces(batch, self.chunk, self.most)
 
 
 Weigh = Literal["recordings", "rows"]

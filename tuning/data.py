@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -16,11 +17,11 @@ from trackwright.trackers.core.data.recording import Batch, Recording, stack
 from trackwright.trackers.core.errors import UnusableInput, require
 from trackwright.trackers.core.run.requirements import check_input
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks import batches
-from trackwright.trackers.recordings.trajectories import Trajectory, segments, with_floor_truth
+from trackwright.trackers.recordings.trajectories import Trajectory, mapped, segments, with_floor_truth
 from trackwright.tuning.batches import AnyBatch, Unstacked, Weigh, trajectory_weights, unstacked
 from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.objectives import (
@@ -107,6 +108,38 @@ def fit_data(
     dimensions = dimensions or judged_dimensions(batch, objective)
     segmented = replace(batch, trajectories=fit_segments(batch, segment_rows, dimensions))
     return segments_data(segmented, objective, {folder.name for folder in held_out}, dimensions, weigh)
+
+
+def data_in_turn(
+    named: NamedTracker,
+    folders: Iterable[RecordingFolder],
+    count: int,
+    place: Path,
+    objective: str | None,
+    segment_rows: int = SEGMENT_ROWS,
+    dimensions: int | None = None,
+    weigh: Weigh = "recordings",
+) -> FitData:
+    """As `fit_data` of the first `count` recordings, the others held out, which are in memory one at a time.
+
+    The rows are in files in the folder `place`. Raises UnusableInput where the recordings need several trackers, too.
+    """
+    names, trajectories = list[str](), list[Trajectory]()
+    batch: TrackerBatch | None = None
+
+    def each() -> Iterator[RecordingFolder]:
+        for folder in folders:
+            names.append(folder.name)
+            yield folder
+
+    for batch in named.batch_by_batch(each()):
+        dimensions = dimensions or judged_dimensions(batch, objective)
+        trajectories += mapped(fit_segments(batch, segment_rows, dimensions), place / f"rows-{len(names)}")
+    refuse_same_names(names)
+    if batch is None:
+        raise UnusableInput(f"tracker '{named.name}': no trajectory in the recordings; expected one tag at least")
+    joined = replace(batch, tracker=named.tracker, trajectories=trajectories)
+    return segments_data(joined, objective, set(names[count:]), dimensions or 2, weigh, stacked=False)
 
 
 def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | Loss | None) -> int:

@@ -45,7 +45,10 @@ class Prior(NamedTuple):
 
     @classmethod
     def of(cls, parameters: Sequence[Parameter], kind: Kind = "sites") -> Prior:
-        """The prior of the parameters about their present values; flat for matrices, and for all where `kind` is."""
+        """The prior of the parameters about their present values.
+
+        Flat where `kind` is, for matrices, and for the levels of `trackers.linear`, which no site tells.
+        """
         spreads = [np.full(p.size, np.inf if kind == "flat" else _spread(p)) for p in parameters]
         return cls(flatten(parameters), np.concatenate([np.zeros(0), *spreads]) ** -2.0)
 
@@ -64,7 +67,7 @@ class Prior(NamedTuple):
 def _spread(parameter: Parameter) -> float:
     """The scale of the distribution of a parameter's unconstrained numbers."""
     example, last = parameter.example, parameter.names[0].rpartition(".")[2]
-    if isinstance(example, Covariance):
+    if isinstance(example, Covariance) or {"Q", "R"} & {*parameter.names[0].split(".")}:
         return np.inf
     if isinstance(example, Real):
         return SPREADS[last] / example.typical if last in SPREADS else 1.0

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Num, Shaped
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter
 from trackwright.trackers.core.model.covariance import few
-from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, has_large_state
+from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, most_few
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.tuning.batches import AnyBatch, Pieces, by_chunks, padded_size
 from trackwright.tuning.objectives import AbstractObjective
@@ -109,9 +109,9 @@ class Problem:
         self.tracker = as_dtype(tracker, dtype)
         start = jnp.asarray(flatten(self.parameters)[None], dtype)
         self.start = Point(self.tracker, self.objective, self.parameters, start)
-        large_state = has_large_state(self.tracker)
-        self.parts = keep(self.start, Pieces(batches, chunk, large_state))
-        self.sizes = [padded_size(batch, chunk, large_state) for batch in batches]
+        most = most_few(self.tracker, gradient=True)
+        self.parts = keep(self.start, Pieces(batches, chunk, most))
+        self.sizes = [padded_size(batch, chunk, most) for batch in batches]
         self.weights = by_chunks(weights, self.sizes)
         self.valid = np.concatenate(self.parts.rows) > 0
         trajectories = max(len(rows) for rows in self.parts.rows)

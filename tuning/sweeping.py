@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+import polars as pl
 from jaxtyping import Float
 
 from trackwright.trackers.core.data.recording import Batch
@@ -61,6 +62,27 @@ class Sweep:
         """The physical values of least mean, by the parameters' labels."""
         points = zip(self.parameters, self.grids, self.best_index, strict=True)
         return {p.label: float(grid[k]) for p, grid, k in points}
+
+    def to_polars(self, objective: str = "objective") -> pl.DataFrame:
+        """One row per grid point: swept values, mean objective, and of several runs its spread and each value."""
+        mesh = np.meshgrid(*self.grids, indexing="ij")
+        columns = {p.label: values for p, values in zip(self.parameters, mesh, strict=True)} | {objective: self.mean}
+        if len(self.values) > 1:
+            columns |= {"spread": self.spread} | {f"repeat_{k + 1}": values for k, values in enumerate(self.values)}
+        return pl.DataFrame({name: values.ravel() for name, values in columns.items()}).fill_nan(None)
+
+    def text(self, objective: str = "objective", unit: str = "") -> str:
+        """The best point in lines."""
+        at, repeats, lines = self.best_index, len(self.values), list[str]()
+        for parameter, grid, k in zip(self.parameters, self.grids, at, strict=True):
+            end = "; at the end of the grid: widen it" if len(grid) > 2 and k in (0, len(grid) - 1) else ""
+            shown = "" if parameter.example.unit == "1" else f" {parameter.example.unit}"
+            lines.append(f"best {parameter.label} = {grid[k]:.6g}{shown}{end}")
+        spread = f" ± {self.spread[at]:.2g} over {repeats} repeats" if repeats > 1 else ""
+        lines.append(f"{objective} = {self.mean[at]:.6g}{' ' if unit else ''}{unit}{spread}")
+        if undefined := int(np.sum(~np.isfinite(self.mean))):
+            lines.append(f"undefined: {undefined} of {self.mean.size} grid points, where a trajectory is not finite")
+        return "\n".join(lines)
 
 
 def swept_parameters(tracker: AbstractTracker, patterns: Sequence[str]) -> list[Parameter]:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import fnmatch
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tomli_w
+from pydantic import AfterValidator, BaseModel, Field
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.input_file import TomlReader
+from trackwright.trackers.recordings.input_file import identity, read_model
 
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.named_tracker import NamedTracker
@@ -62,53 +64,61 @@ def tuned_content(
     }
 
 
-class Tuned(NamedTuple):
-    """The content of a tuned.toml: the tracker it was fitted for, None where it names none, and values by name.
+def _value(given: Any) -> np.ndarray:
+    try:
+        value = np.asarray(given)
+    except ValueError:
+        value = np.array("ragged")
+    if value.dtype.kind not in "if" or not np.all(np.isfinite(value)):
+        raise ValueError(f"= {reprlib.repr(given)}, expected a finite number or a list")
+    return value
 
-    `calibration`: name and fingerprint of its recordings' one, None without one. `units`: of values, as written.
+
+class _Tunable(BaseModel):
+    value: Annotated[Any, AfterValidator(_value)]
+    unit: str | None = None
+
+
+class Tuned(BaseModel):
+    """The content of a tuned.toml: the tracker it was fitted for, None where it names none, and its `tunables`.
+
+    `calibration`: name and fingerprint of its recordings' one, None without one.
     """
 
-    tracker: str | None
-    values: dict[str, Any]
-    calibration: Mapping[str, str] | None = None
-    units: Mapping[str, Any] = {}
+    tracker: str | None = None
+    calibration: dict[Literal["name", "fingerprint"], str] | None = None
+    tunables: Annotated[dict[str, _Tunable], Field(min_length=1)]
+
+    @property
+    def values(self) -> dict[str, np.ndarray]:
+        """The values by name or pattern."""
+        return {name: tunable.value for name, tunable in self.tunables.items()}
+
+    def other_calibration(self, path: Path, given: Path | None) -> str:
+        """What is wrong where the file at `path` was fitted with a calibration, or without, and another is `given`."""
+        begin = f"{path}: fitted to recordings with"
+        # A file that names no tracker was not written by `tune`.
+        if self.calibration is None and given is not None and self.tracker is not None:
+            return f"{begin}out a calibration, and {given} is given; leave --calibration out, or tune again"
+        own = None if self.calibration is None else self.calibration["fingerprint"]
+        if self.calibration is None or (given is not None and identity(given)["fingerprint"] == own):
+            return ""
+        now = "none is given" if given is None else f"{given} is another"
+        return f"{begin} the calibration {self.calibration['name']} ({own}), and {now}; give it, or tune again"
 
     def of(self, named: NamedTracker, path: Path | None) -> NamedTracker:
         """The tracker with the values; raises UnusableInput, naming the file, where they or their units do not fit."""
-        for pattern, unit in self.units.items():
+        for pattern, tunable in self.tunables.items():
             for expected in (named.tunables[name].unit for name in fnmatch.filter(named.tunables, pattern)):
-                if unit != expected:
-                    raise UnusableInput(f"{path}: '{pattern}': unit {unit!r}, expected '{expected}'; convert the value")
+                if tunable.unit not in (None, expected):
+                    found = f"unit {tunable.unit!r}, expected {expected!r}"
+                    raise UnusableInput(f"{path}: '{pattern}': {found}; convert the value")
         return named.with_values(self.values, path)
 
 
 def read_tuned(path: Path) -> Tuned:
     """The tracker and the values by name; raises UnusableInput for a file that `tune` did not write."""
-    reader = TomlReader(path, "the tuned.toml of `trackwright tune`")
-    content, table = reader.content, reader.content.get("tunables")
-    if not isinstance(table, Mapping) or not table:
-        reader.refuse("found no [tunables], expected the tuned.toml of `trackwright tune`")
-    values = {}
-    for name, entry in table.items():
-        value = entry.get("value") if isinstance(entry, Mapping) else None
-        try:
-            values[name] = np.asarray(value)
-            usable = values[name].dtype.kind in "if" and np.all(np.isfinite(values[name]))
-        except ValueError:
-            usable = False
-        if not usable:
-            reader.wrong(f"tunables.{name}.value", value, "a finite number or a list")
-    tracker = content.get("tracker")
-    if not isinstance(tracker, str | None):
-        reader.wrong("tracker", tracker, "the name of a tracker")
-    calibration = content.get("calibration")
-    if calibration is not None and not (
-        isinstance(calibration, Mapping)
-        and set(calibration) == {"name", "fingerprint"}
-        and all(isinstance(text, str) for text in calibration.values())
-    ):
-        reader.wrong("calibration", calibration, "its name and fingerprint")
-    return Tuned(tracker, values, calibration, {name: x["unit"] for name, x in table.items() if "unit" in x})
+    return read_model(path, Tuned, "the tuned.toml of `trackwright tune`", "write it with `trackwright tune`")
 
 
 def parse_values(texts: Sequence[str], option: str) -> dict[str, Any]:
@@ -129,3 +139,30 @@ def parse_values(texts: Sequence[str], option: str) -> dict[str, Any]:
             raise UnusableInput(f"{option} {name}: is given twice; expected it once; remove one")
         by_name[name] = np.asarray(values if "," in numbers else values[0])
     return by_name
+
+
+FORM = "PATTERN=START:STOP:COUNT, as 'motion.sigma_a=0.01:1:100', with ':log' at the end for equal ratios"
+
+
+def parse_grids(texts: Sequence[str], option: str) -> dict[str, np.ndarray]:
+    """Grids by tunable or pattern of one or two texts such as `motion.sigma_a=0.01:1:100:log`.
+
+    Raises UnusableInput, naming the option.
+    """
+    grids: dict[str, np.ndarray] = {}
+    for text in texts:
+        pattern, _, span = text.rpartition("=")
+        log, where = span.endswith(":log"), f"{option} {text}: expected"
+        numbers = span.removesuffix(":log").split(":")
+        try:
+            start, stop, count = (kind(x) for kind, x in zip((float, float, int), numbers, strict=True))
+        except ValueError as error:
+            raise UnusableInput(f"{where} {FORM}") from error
+        if not pattern or not -np.inf < start < stop < np.inf or count < 2:
+            raise UnusableInput(f"{where} {FORM}, START below STOP and COUNT at least 2")
+        if log and start <= 0:
+            raise UnusableInput(f"{where} START above zero for equal ratios")
+        grids[pattern] = (np.geomspace if log else np.linspace)(start, stop, int(count))
+    if not len(grids) == len(texts) <= 2:
+        raise UnusableInput(f"{option} given {len(texts)} times: expected once, or twice for different patterns")
+    return grids

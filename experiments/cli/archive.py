@@ -1,248 +1,303 @@
-"""`track` and `evaluate` on an archive: recordings one by one, finished ones kept, one table of results."""
+"""`track` on an archive: recordings one by one, finished ones kept, one table of results.
+
+A finished recording is a run folder for each tracker, and a file beside them, written last, that says what it depends
+on: options, trackers, versions, and the content of the recording.
+"""
 
 from __future__ import annotations
 
-import sys
+import hashlib
+import json
+import os
+import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from datetime import datetime
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.cli.archive_folders import RESULTS
-from trackwright.experiments.cli.archive_part import (
-    ERRORS,
-    SCORED,
-    TRACKED,
-    Item,
-    RecordingResult,
-    RecordingStore,
-    Scoring,
-    Tracking,
-    refusal,
-)
-from trackwright.experiments.cli.archive_tables import Refusals, Run, compared, gathered, read_results, write_results
-from trackwright.experiments.cli.console import json_alone, output_folder, ready
-from trackwright.experiments.cli.evaluating import COMPARISON, code_of, condition_of
-from trackwright.experiments.cli.options import EvaluateOptions, TrackOptions
-from trackwright.experiments.cli.runtime import LEFT_OUT, write_manifest
-from trackwright.experiments.cli.tracking import endings, notice_levels, tracker_names, write_shown
+import trackwright as tw
+from trackwright.experiments.cli import tracking as runs
+from trackwright.experiments.cli.console import LEFT_OUT, Run, output_folder, ready
+from trackwright.experiments.cli.options import TrackOptions, config
+from trackwright.experiments.jobs.environment import environment
 from trackwright.experiments.jobs.executors import Threads, cluster_executor
-from trackwright.experiments.jobs.portable import file_of
-from trackwright.experiments.jobs.run import run as run_parts
-from trackwright.experiments.pages.reports.comparison import WIDTH, write_comparison
-from trackwright.experiments.pages.reports.track import run_data
-from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
-from trackwright.experiments.text.evaluation_text import archive_text, content
-from trackwright.experiments.text.tables import Section, sections_text, terminal_width
-from trackwright.experiments.text.terminal import Begin, notice, stages
-from trackwright.trackers.catalogue import spec_of
-from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.run.chunks import CHUNK
+from trackwright.experiments.jobs.portable import file_of, spec_here
+from trackwright.experiments.jobs.store import Store
+from trackwright.experiments.jobs.store import run as run_parts
+from trackwright.experiments.pages.scored_tracks import drawn_of
+from trackwright.experiments.text.evaluation_text import archive_text, to_json
+from trackwright.experiments.text.tables import terminal_width
+from trackwright.experiments.text.terminal import notice
+from trackwright.trackers.catalogue import fitting, spec_of
+from trackwright.trackers.core.errors import has_control, one_line
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.evaluate import Evaluation, metric_names, truths_of
 from trackwright.trackers.evaluation.events import EVENTS
-from trackwright.trackers.evaluation.rows import is_scored, scored_rows
-from trackwright.trackers.recordings.atomic import config_hash, held
-from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.evaluation.metrics import RESIDUALS, added, metrics, sums
+from trackwright.trackers.evaluation.scored_run import silent
+from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, content_of
+from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, held, json_text, write_whole
+from trackwright.trackers.recordings.checks.all_checks import require_sound
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
-from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
+from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS
+
+FINISHED, ERRORS = "tracked.json", "tracked.parquet"
+"""The file written last for a recording, and its errors, which the percentiles of all are taken from."""
+
+NAMES, TEXTS = ("recording", "path", "tracker", "tracks", "endings"), ("notices", "refused")
+"""The columns of the table of results before and after the metrics."""
 
 LISTED = 20  # the most refusals that are printed; the table of results has all
+Summary = dict[str, Any]
+"""What one tracker found in one recording, in plain values."""
 
 
-def track_archive(
-    paths: Sequence[Path], options: TrackOptions, started: datetime, begin: Begin,
-    put: Callable[[Mapping[str, Any]], None],
-) -> int:  # fmt: skip
-    """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code."""
-    tracking = _tracking(options, paths)
-    store = RecordingStore(output_folder(options.out), TRACKED)
-    with held(options.out):
-        done, refused = _run("tracked", store, paths, tracking, options.cluster, begin("tracking", len(paths)))
-        begin("tables")
-        runs, rows, noticed = gathered(store, paths, done, refused)
-        # Before anything is printed: the reader of a pipe may close it.
-        write_results(options.out, rows)
-        for run in runs:
-            out = output_folder(options.out if len(runs) == 1 else options.out / run.short)
-            evaluation, count = run.write(out, ERRORS[TRACKED]), run.write_table(out, TRACKS)
-            run.write_table(out, EVENTS)
-            run.write_sources(out)
-            tracks = counted(sum(run.endings.values()), "track")
-            print(f"{run.short}: {tracks} of {counted(len(run.paths), 'recording')}: {endings(run.endings)}")
-            put(_shown(run, evaluation))
-            notice_levels(evaluation.overall, options.fit)
-            shown = [] if options.figures == "none" else _show(run, evaluation, tracking, options, out, begin)
-            extra = {"recordings": len(run.paths), "verdicts": run.endings}
-            write_manifest(out, sys.argv, options.manifest(run.tracker), started, chunk=CHUNK, extra=extra)
-            written = f"{out / TRACKS} ({counted(count, 'estimate')})"
-            print(f"wrote {', '.join([written, EVENTS, EVALUATION, *shown, 'manifest.json'])}")
-        tables = _compare(runs)
-        if tables and options.figures != "none":
-            page = write_comparison(options.out / COMPARISON, [run.short for run in runs], tables, [], sys.argv)
-            print(f"wrote {page}")
-        return _ended("tracked", options.out, noticed, [refused[path] for path in paths if path in refused], len(paths))
+@dataclass(frozen=True)
+class Result:
+    """What was found in one recording: summaries, files by place below its folder, a line for each refusal, notices."""
+
+    outcomes: list[Summary] = field(default_factory=list)
+    files: dict[str, Content] = field(default_factory=dict)
+    refused: list[str] = field(default_factory=list)
+    notices: list[str] = field(default_factory=list)
 
 
-def _tracking(options: TrackOptions, paths: Sequence[Path]) -> Tracking:
-    """How each recording is tracked; raises UnusableInput for unknown trackers and an unreadable calibration."""
-    of_file = None if options.tuned is None else options.tuned.tracker
-    names = tracker_names(options.tracker or of_file, options.noise)
-    texts = tuple((name, file_of(name)) for name in names if spec_of(name))
-    return Tracking(texts, options, options.used.read_calibration(), _renamed(paths))
+@dataclass(frozen=True)
+class Tracking:
+    """How the recordings of an archive are tracked, as it travels. `names`: of the trackers, with the texts of the
+    users' files; none for the one that fits each recording. `renamed`: names of recordings."""
 
+    names: tuple[tuple[str, str], ...]
+    options: TrackOptions
+    calibration: tw.Calibration | None
+    renamed: Mapping[Path, str]
 
-def _renamed(paths: Sequence[Path]) -> dict[Path, str]:
-    """The path as the name of each recording that has another's name; raises nothing for an unreadable rig."""
-    names: dict[Path, str] = {}
-    for path in paths:
-        with suppress(UnusableInput):
-            names[path] = read_rig(path / RIG_FILE)[0].name
-    counts = Counter([*names.values(), *map(str, paths)])
-    renamed = {path: str(path) for path, name in names.items() if counts[name] > 1 and name != str(path)}
-    for path in [*renamed][:1]:
-        notice(f"notice: {len(renamed)} recordings, as {path}, are named by their paths: others have their names")
-    return renamed
-
-
-def _run(
-    verb: str, store: RecordingStore, paths: Sequence[Path], part: Tracking | Scoring, cluster: str | None,
-    advance: Callable[[int], None],
-) -> tuple[set[Path], Refusals]:  # fmt: skip
-    """Runs the part of each recording that is not stored; the finished recordings, and a line for each refusal."""
-    done: set[Path] = set()
-    refused: Refusals = {}
-    settings = part.settings()
-
-    def items() -> Iterator[Item]:
+    @classmethod
+    def of(cls, options: TrackOptions, paths: Sequence[Path]) -> Tracking:
+        """The options as they travel; raises UnusableInput for unknown trackers and an unreadable calibration."""
+        texts = tuple((name, file_of(name)) for name in runs.named_runs(options) if spec_of(name))
+        names: dict[Path, str] = {}
         for path in paths:
-            try:
-                fingerprint = config_hash({"content": part.content(path), **settings})
-            except OSError:
-                fingerprint = None
-            yield Item(path, store.folder(path), fingerprint)
+            with suppress(tw.UnusableInput):
+                names[path] = read_rig(path / RIG_FILE)[0].name
+        counts = Counter([*names.values(), *map(str, paths)])
+        renamed = {path: str(path) for path, name in names.items() if counts[name] > 1 and name != str(path)}
+        for path in [*renamed][:1]:
+            notice(f"notice: {len(renamed)} recordings, as {path}, are named by their paths: others have their names")
+        return cls(texts, options, options.used.read_calibration(), renamed)
 
-    def each(item: Item, kept: Mapping[str, Any]) -> None:
-        if kept["outcomes"]:
-            done.add(item.path)
-        if kept["refused"]:
-            refused[item.path] = kept["refused"]
+    def named(self, name: str, folders: tw.RecordingFolder | Sequence[tw.RecordingFolder]) -> tw.NamedTracker:
+        """A tracker for recordings; raises UnusableInput as `NamedTracker.of`."""
+        numbers, text = self.options.numbers, dict(self.names).get(name, "")
+        return tw.NamedTracker.of(name, spec_here(name, text), folders, numbers.free_height, numbers.side)
+
+    def read(self, path: Path) -> tw.RecordingFolder:
+        """The recording by its name in the archive; raises UnusableInput."""
+        folder = tw.read(path)
+        return replace(folder, name=self.renamed.get(path, folder.name))
+
+    def part(self, path: Path) -> Result:
+        """What is found in the recording at `path`, which is read where this runs."""
+        return self(self.read(path))
+
+    def __call__(self, recording: tw.RecordingFolder) -> Result:
+        """What is found in one recording; raises UnusableInput where it has errors."""
+        for name, text in self.names:
+            spec_here(name, text)  # a user's file may add the kind of the recording's tables
+        lines = require_sound(recording, self.options.force, self.calibration is not None)
+        folder, more = ready(recording, self.options.used, self.calibration)
+        result = Result(notices=[*map(one_line, (*lines, *more))])
+        for name in [name for name, _ in self.names] or [fitting(folder)]:
+            try:
+                found, fits = runs.tracked(self.named(name, folder), [folder], self.options, silent)
+            except tw.UnusableInput as problem:
+                result.refused.append(_naming(folder.path, problem))
+                continue
+            evaluation, rows, own = found.evaluation, found.rows, runs.short(name)
+            (of_recording,) = evaluation.recordings
+            summary = {"tracker": name, "short": own, "endings": found.tracks.summaries, "recording": folder.name}
+            totals = sums(rows).row(0, named=True) | {ratio: of_recording[ratio] for ratio in RESIDUALS}
+            parts = {"metrics": of_recording, "tracks": evaluation.tracks, "sums": totals}
+            result.outcomes.append(summary | {"bearing": evaluation.bearing} | parts)
+            errors = rows.filter(pl.col("why").is_null()).select("^(size_.*|nees|nees_3d)$")
+            result.files.update(
+                {f"{own}/{file}": x for file, x in (runs.files_of(found, evaluation) | {ERRORS: errors}).items()}
+            )
+            result.notices.extend(map(one_line, (*fits, *found.notices)))
+        return result
+
+
+@dataclass(frozen=True)
+class Finished(Store[Path, Result, Result]):
+    """The finished recordings in the output folder of an archive."""
+
+    out: Path
+    tracking: Tracking
+
+    @cached_property
+    def _settings(self) -> dict[str, Any]:
+        """All that the outcome of a recording depends on, beside its content."""
+        options, calibration = self.tracking.options, self.tracking.options.used.calibration
+        return config(options, "tracker", "noise", "cluster", "keep_going") | {
+            "trackers": self.tracking.names,
+            "noise": None if options.tuned is None else options.tuned.values,
+            "calibration": None if calibration is None else calibration.read_text("utf-8"),
+            "versions": {name: value for name, value in environment().items() if name != "programs kept"},
+        }
+
+    def folder(self, path: Path) -> Path:
+        """The folder of the recording at `path`: its name, and a digest of the path."""
+        whole = path.resolve()
+        digest = hashlib.sha256(os.fsencode(whole)).hexdigest()[:8]
+        plain = re.sub(r"[^\w.-]", "_", whole.name, flags=re.ASCII)[:80]
+        return self.out / RECORDINGS / f"{plain}-{digest}"
+
+    def _digest(self, path: Path) -> str:
+        return config_hash({"content": content_of(path) + self.tracking.renamed.get(path, ""), **self._settings})
+
+    def read(self, item: Path) -> Result:
+        """As `Store`."""
+        kept = json.loads((self.folder(item) / FINISHED).read_bytes())
+        if kept.pop("digest") != self._digest(item):
+            raise LookupError("of other inputs")
+        for summary in kept["outcomes"]:
+            for table in (TRACKS, EVENTS, ERRORS):
+                pl.read_parquet_schema(self.folder(item) / summary["short"] / table)
+        return Result(**kept)
+
+    def files(self, item: Path, result: Result) -> dict[Path, Content]:
+        """As `Store`; a recording in which nothing was found is tried again by the next run."""
+        if not result.outcomes:
+            return {}
+        kept = {name: getattr(result, name) for name in ("outcomes", "refused", "notices")}
+        files = result.files | {FINISHED: json_text({"digest": self._digest(item)} | kept)}
+        return {self.folder(item) / name: rows for name, rows in files.items()}
+
+
+def _refusal(path: Path, error: Exception) -> Result:
+    """What stands for a recording that could not be used: a line that names it, so that the others go on."""
+    if isinstance(error, tw.UnusableInput):
+        return Result(refused=[_naming(path, error)])
+    why = f"cannot be used ({type(error).__name__}: {one_line(error) or 'no message'})"
+    if type(error).__name__ == "KilledWorker":
+        why = "its workers ended while they computed it; expected enough memory for one recording a worker"
+    return Result(refused=[f"{path}: {why}"])
+
+
+def _naming(path: Path | None, problem: tw.UnusableInput) -> str:
+    """The refusal with the path of the recording."""
+    return str(problem) if one_line(path) in str(problem) else f"{path}: {problem}"
+
+
+def track_archive(paths: Sequence[Path], options: TrackOptions, run: Run) -> int:
+    """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code."""
+    tracking, found = Tracking.of(options, paths), dict[Path, Result]()
+    store = Finished(output_folder(options.out), tracking)
+    advance = run.begin("tracking", len(paths))
+
+    def each(path: Path, result: Result) -> None:
+        found[path] = result
         advance(1)
 
-    def whole(item: Item) -> RecordingResult:
-        source: Any = part.read(item)
-        return part(source)
-
-    with cluster_executor(cluster) if cluster else Threads() as executor:
-        # For workers it is read here, since they need not see the files.
-        function, read = (part, part.read) if cluster else (whole, None)
-        run_parts(items(), function, store, executor, each, read, refusal)
-    if not done:
-        first, *others = [refused[path] for path in paths]
-        _list_refused(verb, others)
-        raise UnusableInput(first[0])
-    return done, refused
-
-
-def _compare(runs: Sequence[Run]) -> list[Section]:
-    """Prints the comparison of several trackers; its tables."""
-    if tables := compared(runs):
-        print(sections_text(tables, WIDTH), end="")
-    return tables
-
-
-def _shown(run: Run, evaluation: Evaluation) -> dict[str, Any]:
-    """Prints the table of a tracker; its metrics by its name, as JSON holds them."""
-    if evaluation.overall["n"]:
-        print(archive_text(evaluation, terminal_width()), end="")
-    else:
-        print(*(f"Without truth: {sentence}" for sentence in evaluation.statements), sep="\n")
-    return {run.short: content(evaluation)}
-
-
-def _show(
-    run: Run, evaluation: Evaluation, tracking: Tracking, options: TrackOptions, out: Path, begin: Begin
-) -> list[str]:
-    """Writes the page and the figures of a few recordings; returns in words what was written."""
-    rmse = [metrics["rmse_direction_rad" if evaluation.bearing else "rmse_m"] for metrics in evaluation.recordings]
-    chosen = [evaluation.recordings[k] for k in drawn_of(np.array(rmse, float), evaluation.bearing)]
-    names = [metrics["recording"] for metrics in chosen]
-    folders, batches, tables, events = [], [], [], []
-    texts = dict(tracking.names)
-    for name in names:
-        folder, _ = ready(replace(read_recording(run.paths[name]), name=name), options.used, tracking.calibration)
-        batches += options.valued(tracking.named(run.tracker, texts.get(run.tracker, ""), folder)).batches(folder)
-        folders.append(folder)
-        tables.append(read_tracks(run.folders[name]))
-        events.append(pl.read_parquet(run.folders[name] / EVENTS))
-    stations = {folder.name: folder.rig.stations for folder in folders}
-    rows = scored_rows(pl.concat(tables, how="diagonal"), truths_of(folders), stations)
-    part = Evaluation(
-        evaluation.bearing,
-        evaluation.overall,
-        chosen,
-        [metrics for metrics in evaluation.tracks if metrics["recording"] in names],
-    )
-    tracks = ScoredTracks(rows, folders, batches)
-    known = part if is_scored(rows).any() else None
-    about = f"{run.tracker}: {spec_of(run.tracker).about}"
-    page = run_data(tracks, pl.concat(events, how="diagonal"), known, about, run.short)
-    page |= {"recordingCount": len(run.paths), "statements": evaluation.statements if known else []}
-    return write_shown(tracks, page, options, out, begin)
-
-
-def _list_refused(verb: str, refused: Sequence[Sequence[str]], table: Path | None = None) -> None:
-    """A line for each refusal, up to some; `table`: the file that has all."""
-    lines = [line for of_recording in refused for line in of_recording]
-    for line in lines[:LISTED]:
-        notice(f"not {verb}: {line}")
-    if len(lines) > LISTED:
-        where = "" if table is None else f": column 'refused' of {table}"
-        notice(f"not {verb}: {len(lines) - LISTED} more{where}")
-
-
-def _ended(verb: str, out: Path, noticed: int, refused: Sequence[Sequence[str]], of: int) -> int:
-    """Says where the table of results is, and lists what was refused, of so many recordings; the exit code."""
-    table = out / RESULTS
-    print(f"wrote {table}, a row for each recording and tracker")
-    if noticed:
-        notice(f"notice: {counted(noticed, 'recording')} with notices: column 'notices' of {table}")
+    with held(options.out):
+        with cluster_executor(options.cluster) if options.cluster else Threads() as executor:
+            # A cluster's workers need not see the recordings, which are read here.
+            part, read = (tracking, tracking.read) if options.cluster else (tracking.part, None)
+            run_parts(paths, part, store, executor, each, read, _refusal)
+        refused = [found[path].refused for path in paths if found[path].refused]
+        lines = [line for of_recording in refused for line in of_recording]
+        if not any(result.outcomes for result in found.values()):
+            _list_refused(lines[1:], "")
+            raise tw.UnusableInput(lines[0])
+        run.begin("tables")
+        results = options.out / RESULTS
+        atomic_write(results, _results([(path, found[path]) for path in paths]).write_csv)
+        by_tracker: dict[str, list[tuple[Path, Summary]]] = {}
+        for path in paths:
+            for summary in found[path].outcomes:
+                by_tracker.setdefault(summary["short"], []).append((path, summary))
+        for name, of in by_tracker.items():
+            out = options.out if len(by_tracker) == 1 else output_folder(options.out / name)
+            _write_run(name, sorted(of, key=lambda one: str(one[1]["recording"])), out, store, run)
+    print(f"wrote {results}, a row for each recording and tracker")
+    if noticed := sum(bool(result.notices and result.outcomes) for result in found.values()):
+        notice(f"notice: {counted(noticed, 'recording')} with notices: column 'notices' of {results}")
     if refused:
-        notice(f"not {verb}: {len(refused)} of {counted(of, 'recording')}")
-    _list_refused(verb, refused, table)
+        notice(f"not tracked: {len(refused)} of {counted(len(paths), 'recording')}")
+    _list_refused(lines, f": column 'refused' of {results}")
     return LEFT_OUT if refused else 0
 
 
-def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
-    """Scores the estimates of an archive again, recording by recording; returns the exit code."""
-    fail_if = options.fail_if
-    tracked, store = RecordingStore(out, TRACKED), RecordingStore(out, SCORED)
-    known = read_results(out)
-    paths = [path for path in known if (tracked.folder(path) / TRACKED).is_file()]
-    if not paths:
-        raise UnusableInput(f"{out / RESULTS}: names no recording that is kept beside it; run `track` again")
-    if fail_if is not None:
-        first = tracked.folder(paths[0])
-        for outcome in tracked.read(first)["outcomes"]:
-            condition_of(fail_if, metric_names(read_tracks(first / outcome["short"])))
-    scoring = Scoring(options.used.part, tracked)
-    with held(out), json_alone(options.json) as put, stages("evaluate") as begin:
-        done, refused = _run("evaluated", store, paths, scoring, options.cluster, begin("scoring", len(paths)))
-        # What could not be tracked keeps its line, but is no failure of this command.
-        lines = {path: reasons for path, reasons in known.items() if path not in paths} | refused
-        runs, rows, noticed = gathered(store, list(known), done, lines)
-        write_results(out, rows)
-        failed = False
-        for run in runs:
-            evaluation = run.write(out if len(runs) == 1 else output_folder(out / run.short), ERRORS[SCORED])
-            put(_shown(run, evaluation))
-            failed |= bool(code_of(evaluation, fail_if, f"{run.short}: "))
-        _compare(runs)
-        code = _ended("evaluated", out, noticed, [lines[path] for path in paths if path in lines], len(paths))
-    return 1 if failed else code
+def _results(found: Sequence[tuple[Path, Result]]) -> pl.DataFrame:
+    """The table of results."""
+    rows: list[dict[str, Any]] = [dict.fromkeys((*NAMES, *TEXTS))]
+    for path, result in found:
+        # A name that no line can hold is shown; no command looks for it.
+        whole = str(path.resolve()) if not has_control(str(path.resolve())) else one_line(path.resolve())
+        for summary in result.outcomes:
+            endings = summary["endings"]
+            tracks = {"tracks": sum(endings.values()), "endings": "; ".join(f"{k} {n}" for k, n in endings.items())}
+            names = {"path": whole, "tracker": summary["short"], "notices": "; ".join(result.notices)}
+            rows.append(names | tracks | summary["metrics"])
+        rows += [{"path": whole, "refused": line} for line in result.refused]
+    table = pl.DataFrame(rows, infer_schema_length=None)[1:]
+    return table.select(*NAMES, pl.exclude(*NAMES, *TEXTS), *TEXTS)
+
+
+def _write_run(name: str, of: Sequence[tuple[Path, Summary]], out: Path, store: Finished, run: Run) -> None:
+    """Writes the tables of a tracker over all recordings, and prints its metrics."""
+    options, summaries = store.tracking.options, [summary for _, summary in of]
+
+    def rows(table: str) -> pl.LazyFrame:
+        """The tables of all recordings as one, which is not in memory."""
+        files, schema = [store.folder(path) / name / table for path, _ in of], dict[str, Any]()
+        for file in files:
+            schema |= pl.read_parquet_schema(file)
+        return pl.scan_parquet(files, schema=pl.Schema(schema), missing_columns="insert")
+
+    whole = added(pl.DataFrame([x["sums"] for x in summaries], infer_schema_length=None), rows(ERRORS))
+    levels = [x["metrics"] for x in summaries], [track for x in summaries for track in x["tracks"]]
+    filled = [pl.DataFrame(level, infer_schema_length=None).to_dicts() for level in levels]
+    evaluation = tw.Evaluation(summaries[0]["bearing"], metrics(whole).row(0, named=True), *filled)
+    write_whole(out / EVALUATION, to_json(evaluation))
+    write_whole(out / SOURCES, "".join(f"{path.resolve()}\n" for path, _ in of))
+    for table in (TRACKS, EVENTS):
+        atomic_write(out / table, partial(rows(table).sink_parquet, compression_level=1))
+    endings = sum((Counter(x["endings"]) for x in summaries), Counter[str]())
+    print(f"{name}: {counted(endings.total(), 'track')} of {counted(len(of), 'recording')}: {runs.words_of(endings)}")
+    rows_written = pl.scan_parquet(out / TRACKS).select(pl.len()).collect().item()
+    about, tracker = {"recordings": len(of), "verdicts": endings}, summaries[0]["tracker"]
+    text, show = (
+        partial(archive_text, evaluation, terminal_width()),
+        partial(_show, of, evaluation, out, store.tracking, run),
+    )
+    runs.end_run(tracker, evaluation, text, show, rows_written, about, options, out, run)
+
+
+def _show(
+    of: Sequence[tuple[Path, Summary]], evaluation: tw.Evaluation, out: Path, tracking: Tracking, run: Run
+) -> list[str]:
+    """Writes the page and the figures of a few recordings, tracked again; in words, what was written."""
+    if tracking.options.figures == "none":
+        return []
+    rmse = [metrics["rmse_direction_rad" if evaluation.bearing else "rmse_m"] for metrics in evaluation.recordings]
+    chosen = [of[k][0] for k in drawn_of(np.array(rmse, float), evaluation.bearing)]
+    folders = [ready(tracking.read(path), tracking.options.used, tracking.calibration)[0] for path in chosen]
+    named = tracking.named(of[0][1]["tracker"], folders)
+    found, _ = runs.tracked(named, folders, tracking.options, run.begin)
+    statements = {"statements": evaluation.statements} if evaluation.overall["n"] else {}
+    page = runs.page_of(found, found.evaluation, 1) | {"recordingCount": len(of)} | statements
+    return runs.write_shown(runs.scored(found), [page], tracking.options, out, run)
+
+
+def _list_refused(lines: Sequence[str], where: str) -> None:
+    """A line for each refusal, up to some; `where`: the place of all."""
+    for line in lines[:LISTED]:
+        notice(f"not tracked: {line}")
+    if len(lines) > LISTED:
+        notice(f"not tracked: {len(lines) - LISTED} more{where}")

@@ -1,13 +1,18 @@
-"""`trackwright check` and `calibrate`: data quality, systematic errors."""
+"""`trackwright check`, `calibrate` and `survey`: data quality, systematic errors, places of anchors."""
 
 from __future__ import annotations
 
 import sys
 import tomllib
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from typing import Annotated
 
-from trackwright.experiments.cli.options import File, ReadingOptions, Recording, Tracker, require_new, run_tracker_files
+from cyclopts import Parameter
+
+from trackwright.experiments.cli.options import File, Readings, Recording, Tracker
 from trackwright.trackers.core.errors import printable
+
+Names = Annotated[str, Parameter(metavar="A1,A2,…")]
 
 
 def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = False) -> int:
@@ -22,12 +27,13 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
         tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
         json: print JSON instead of lines: by folder, the results with level, where and message.
     """
+    from trackwright.trackers.catalogue import run_files
     from trackwright.trackers.recordings.atomic import json_text
     from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
     from trackwright.trackers.recordings.folder import read_recording
 
-    run_tracker_files(tracker)
+    run_files(tracker)
     failed, by_folder = False, {}
     for path in recordings:
         results = check_recording(read_recording(path))
@@ -52,35 +58,74 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
         force: replace a file that exists, and take recordings in spite of the errors that `trackwright check` finds.
         json: print the content of that file as JSON instead of tables.
     """
+    from trackwright.trackers.recordings.archives import require_new
+
     require_new(out, "calibration.toml", force)
-    from trackwright.experiments.cli.console import checked, json_alone, output_folder, prepared
-    from trackwright.trackers.recordings.folder import read_recordings
+    from trackwright.experiments.cli.console import output_folder, prepared, running
 
-    folders = prepared(checked(read_recordings(recordings), force, calibrated=True), ReadingOptions())
+    with running("calibrate", json) as run:
+        folders = prepared(recordings, Readings(), force, calibrated=True)
+        # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
+        from trackwright.experiments.pages.reports import calibration as pages
+        from trackwright.experiments.text.tables import sections_text
+        from trackwright.trackers.recordings.calibration import write_calibration
+        from trackwright.tuning.calibrating import calibrate
+
+        calibration = calibrate(folders)
+        output_folder(out.parent)
+        report = pages.report_on(calibration, folders)
+        write_calibration(calibration, out)
+        page = pages.write_calibration_report(out, calibration, report, sys.argv)
+        print(sections_text([*report.tables.values()], pages.WIDTH, report.note), end="")
+        print(f"wrote {out} and {page.name}")
+        run.put(tomllib.loads(out.read_text("utf-8")))
+    return 0
+
+
+def survey(
+    *recordings: Recording, out: File, given: Names | None = None, sigma: float = 0.0, frame: Names | None = None,
+    height: float | None = None, force: bool = False, json: bool = False,
+) -> int:  # fmt: skip
+    """Survey anchors: their positions and delays, from walks with ranges, without truth.
+
+    Writes a rig.toml that `track` takes, and beside it a page. Anchors that rig.toml of the walks lacks are found, too.
+
+    Args:
+        recordings: recording folders with ranges to the same anchors; truth, if there is any, is not used.
+        out: the file to write, as rig.toml; the page goes beside it.
+        given: anchors whose positions in rig.toml are known, or all.
+        sigma: their standard deviation, m, as 0.05 by tape; default: exact.
+        frame: without given anchors: origin, x axis, and one to the left of it; default: the first.
+        height: of the tags, m; default: as in rig.toml, else estimated.
+        force: replace a file that exists, and take ranges in spite of the errors that `trackwright check` finds.
+        json: print positions, delays, intervals and verdicts as JSON instead of a table.
+    """
+    from trackwright.trackers.recordings.archives import require_new
+
+    require_new(out, "rig.toml", force)
+    from trackwright.experiments.cli.console import notices, output_folder, running
+    from trackwright.trackers.recordings.checks.all_checks import require_sound
+    from trackwright.trackers.recordings.folder import read_recording, refuse_repeated
+
+    refuse_repeated(recordings)
+    folders = [read_recording(path, placed=False) for path in recordings]
+    for folder in (folder for folder in folders if "ranges" in folder.tables):
+        # No other table is used, and positions in rig.toml may be wrong.
+        unplaced = replace(folder.rig, anchors={})
+        notices(require_sound(replace(folder, rig=unplaced, tables={"ranges": folder.tables["ranges"]}), force, True))
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
-    from trackwright.experiments.pages.charts.style import write_charts
-    from trackwright.experiments.pages.reports.calibration import (
-        WIDTH,
-        calibration_charts,
-        report_on,
-        write_calibration_report,
-    )
-    from trackwright.experiments.text.tables import sections_text
-    from trackwright.experiments.text.wording import figures_drawn
-    from trackwright.trackers.recordings.calibration import write_calibration
-    from trackwright.tuning.calibrating import calibrate
+    from trackwright.experiments.pages.reports.survey import survey_data, write_survey_page
+    from trackwright.trackers.recordings.atomic import write_whole
+    from trackwright.trackers.recordings.rig_file import rig_text
+    from trackwright.tuning.survey.surveying import survey as survey_walks
 
-    calibration = calibrate(folders)
-    output_folder(out.parent)
-    report = report_on(calibration, folders)
-    write_calibration(calibration, out)
-    charts = calibration_charts(calibration, report)
-    drawn = write_charts(
-        out.parent, [one for pair in charts.values() for of in pair for one in of], "png", f"{out.stem}-"
-    )
-    page = write_calibration_report(out, calibration, report, charts, sys.argv)
-    with json_alone(json) as put:
-        print(sections_text([*report.tables.values()], WIDTH, report.note), end="")
-        print(f"wrote {out}, {page.name} and {figures_drawn(drawn)}")
-        put(tomllib.loads(out.read_text("utf-8")))
+    with running("survey", json) as run:
+        run.begin("fitting positions and paths")
+        result = survey_walks(folders, given or (), sigma, frame or (), height)
+        output_folder(out.parent)
+        notices(result.notes)
+        write_whole(out, rig_text(result.rig))
+        page = write_survey_page(out, result, sys.argv)
+        print(f"{result}\nwrote {out} and {page.name}")
+        run.put(survey_data(result))
     return 0

@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
-from dataclasses import replace as replaced
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Folder, Seconds
+from trackwright.experiments.cli.options import File, Folder, Readings, Seconds
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.exchange.formats import FORMATS
-
-if TYPE_CHECKING:
-    import polars as pl
-
-    from trackwright.trackers.exchange.mapping import TableMapping
-    from trackwright.trackers.line.truth import KnotTimes
-    from trackwright.trackers.recordings.folder import RecordingFolder
 
 Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
 FormatName = Annotated[
@@ -93,60 +83,19 @@ def import_source(
             raise UnusableInput("--path: fits a truth to a recording folder; expected no other option but --out")
         return _fit_truth(source, out)
     from trackwright.experiments.text.terminal import notice
-    from trackwright.trackers.core.data.seconds import moment
     from trackwright.trackers.core.wording import counted
     from trackwright.trackers.exchange.expressions import columns_of
-    from trackwright.trackers.exchange.formats import format_of, has_tables
-    from trackwright.trackers.exchange.imported import assembled, origin_of, read_geometry, read_source, save, since
-    from trackwright.trackers.exchange.mapping import PRESETS, Asked, MappingFile, TableMapping, read_mapping
-    from trackwright.trackers.exchange.truth_frame import with_truth_moved
-    from trackwright.trackers.recordings.folder import read_recording
-    from trackwright.trackers.recordings.rig_file import RIG_FILE
+    from trackwright.trackers.exchange.importing import Import
+    from trackwright.trackers.exchange.mapping import TableMapping
 
-    preset = MappingFile() if mapping is None else read_mapping(mapping)
-    name = format or ("csv" if any(one.file for one in preset.tables) else format_of(source))
-    asked = [one for one in preset.tables if (one.topic is not None) == (name == "ros")] or preset.tables
-    if left := [one.table for one in preset.tables if one not in asked]:
-        kind = "other files" if name == "ros" else "bags"
-        notice(f"notice: {mapping}: its entries for {kind} are skipped ({', '.join(left)})")
-    own_tables = has_tables(name)
-    notice(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
     given = TableMapping(
         table=table or "ranges", columns=columns_of(columns), topic=topic, tag=tag, separator=separator,
         decimal=decimal, thousands=thousands, header=header, skip=skip, missing=list(missing), encoding=encoding,
     )  # fmt: skip
-    mappings = _mappings(source, own_tables, table, given, asked)
-    there = (out / RIG_FILE).is_file()
-    if origin == "start" and there:
-        words = "expected their origin, as its first import printed it: --origin SECONDS, or none where that had none"
-        raise UnusableInput(f"--origin start: {out} has tables already; {words}")
-    geometry, anchors, lines = read_geometry(rig, out, preset, given)
-    try:
-        imported = read_source(source, name, Asked(mappings, interval, skip_bad_lines, messages))
-    except UnusableInput as problem:
-        if mapping is None:
-            raise
-        text, add, _ = str(problem).partition("; add --columns")
-        other = f"; another mapping? presets: {', '.join(sorted(PRESETS))}" if add else ""
-        raise UnusableInput(f"{text}{other}") from None
-    tables = imported.tables
-    if origin is not None:
-        begin = origin_of(origin, tables)
-        tables = since(tables, begin)
-        notice(f"notice: t_s = 0 is {moment(begin)} of {source}; give further tables the same --origin {begin!r}")
-    # Recordings of one installation share its rig, but not their name.
-    title = None if there else out.resolve().name
-    for line in (*imported.notices, *lines):
-        notice(f"notice: {line}")
-    folder = assembled(title, geometry, tables, anchors or imported.anchors, preset)
-    if transform is not None or align_truth is not None:
-        recording = read_recording(out) if there else folder
-        folder, said = with_truth_moved(folder, recording, transform, bool(align_truth))
-        for line in said:
-            notice(f"notice: {line}")
-    written = save(folder, out, imported, replace)
-    for line in written.notices:
-        notice(f"notice: {out}: {line}")
+    tables, written = Import(
+        source, out, given, bool(table), mapping, format, rig, origin, transform, align_truth, interval,
+        skip_bad_lines, messages, replace, notice,
+    ).run()  # fmt: skip
     rows = ", ".join(f"{table} {counted(len(rows), 'row')}" for table, rows in tables.items())
     own = "" if set(tables) <= {*get_args(Table)} else " --tracker FILE.py:NAME"
     surveyed = "ranges" in written.tables and not written.rig.anchors
@@ -155,73 +104,26 @@ def import_source(
     return 0
 
 
-def _mappings(
-    source: Path, own_tables: bool, table: str | None, given: TableMapping, tables: Sequence[TableMapping]
-) -> list[TableMapping]:
-    """The mappings of the tables of a source, by the options `given`, or the `tables` of the file of --mapping."""
-    if tables:
-        if own_tables:
-            raise UnusableInput("--mapping: a file of this format has its tables; leave it out")
-        if table or given != type(given)(table="ranges", tag=given.tag):
-            raise UnusableInput(
-                "--mapping and --table, --columns, --topic or the form of a text; give one or the other"
-            )
-        return [m if m.tag else replaced(m, tag=given.tag) for m in tables]
-    if own_tables and (table or given.topic is not None):
-        raise UnusableInput(f"{source}: a file of this format has its tables; leave --table and --topic out")
-    if given.columns and not (table or own_tables):
-        raise UnusableInput("--columns without --table; expected --table ranges, fixes, truth or another table")
-    return [given] if table or own_tables else []
-
-
 def _fit_truth(recording: Path, out: Path) -> int:
     """Writes the recording with a truth along its known path into the new folder `out`."""
     started = datetime.now(UTC)
-    from trackwright.experiments.cli.console import read_with_notices
-    from trackwright.experiments.cli.runtime import keep_programs, write_manifest
+    from trackwright.experiments.cli.console import keep_programs, notices, prepared, write_manifest
     from trackwright.trackers.recordings.folder import write_recording
 
-    (folder,) = read_with_notices((recording,))
+    (folder,) = prepared((recording,), Readings(), check=False)
     keep_programs()
     # jax takes a second to import, which the help and a refused recording need not wait for.
     from trackwright.trackers.line.rows import fit_path_truth
 
     fitted, knot_times = fit_path_truth(folder)
-    table = fitted.tables["truth"]
-    _notice_deviation(folder, table)
+    if "truth" in folder.tables:
+        notices([f"{recording}: its own truth is replaced"])
     write_recording(fitted, out)
-    write_manifest(out, sys.argv, {"recording": str(recording)}, started)
-    print("\n".join(_knots_line(tag, times) for tag, times in knot_times.items()))
-    print(f"wrote {out}: the recording with a fitted truth of {len(table)} rows; use it: evaluate … --truth {out}")
+    write_manifest(out, {"recording": str(recording)}, started)
+    for tag, times in knot_times.items():
+        passed = zip(times.departed, times.arrived, strict=True)
+        segments = ", ".join(f"{begin:.2f}-{end:.2f} s" for begin, end in passed if end > begin)
+        print(f"tag {tag}: {times.rms:.3f} m RMS about the path; segments {segments}")
+    rows = len(fitted.tables["truth"])
+    print(f"wrote {out}: the recording with a fitted truth of {rows} rows; use it: evaluate … --truth {out}")
     return 0
-
-
-def _knots_line(tag: str, fitted: KnotTimes) -> str:
-    import numpy as np
-
-    lengths = np.sqrt((np.diff(fitted.knots, axis=0) ** 2).sum(axis=1))
-    segments = [
-        f"{a:.2f}-{b:.2f} s ({n / (b - a):.2f} m/s)"
-        for a, b, n in zip(fitted.departed, fitted.arrived, lengths, strict=True)
-        if b > a
-    ]
-    return f"tag {tag}: {fitted.rms:.3f} m RMS about the path; segments {', '.join(segments)}"
-
-
-def _notice_deviation(folder: RecordingFolder, table: pl.DataFrame) -> None:
-    """Notice of the deviation from the recording's own truth, if it has one."""
-    if "truth" not in folder.tables:
-        return
-    import numpy as np
-
-    from trackwright.experiments.text.terminal import notice
-    from trackwright.trackers.recordings.truth import TruePaths
-
-    fitted = TruePaths.of_table(table, folder.name)
-    for tag in sorted(folder.paths.number.keys() & fitted.number.keys()):
-        times, positions = fitted.of_tag(tag)
-        known, _ = folder.paths.at([tag], np.array([0, len(times)]), times)
-        deviation = np.sqrt(((positions - known)[:, :2] ** 2).sum(axis=1))
-        if np.isfinite(deviation).any():
-            rms = np.sqrt(np.nanmean(deviation**2))
-            notice(f"notice: tag {tag}: the recording's own truth is replaced; RMS deviation {rms:.3f} m")

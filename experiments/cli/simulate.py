@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import inspect
-import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from trackwright.experiments.cli.arguments import new_app
+from trackwright.experiments.cli.commands import new_app
 from trackwright.experiments.cli.options import Folder
 from trackwright.sim import worlds
 from trackwright.sim.parameters import ParameterError
@@ -28,10 +26,10 @@ COMMON = """
 def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
     """The command of a world: its parameters as options, and `--out`."""
 
-    def simulate(out: Path, **given: Any) -> int:
+    def simulate(out: Any, **given: Any) -> int:
         numbers = {p.name: given.get(p.name, p.default) for p in options[1:]}
         started = datetime.now(UTC)
-        from trackwright.experiments.cli.runtime import write_manifest
+        from trackwright.experiments.cli.console import write_manifest
         from trackwright.trackers.core.wording import counted
         from trackwright.trackers.recordings.folder import write_recording
 
@@ -42,8 +40,7 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
             option = f"--{error.name.replace('_', '-')} {' '.join(map(str, words))}"
             raise UnusableInput(f"{option}: expected {error.expected}") from error
         write_recording(folder, out)
-        config = {name: value for name, value in numbers.items() if name != "seed"}
-        write_manifest(out, sys.argv, config, started, seeds=(numbers["seed"],))
+        write_manifest(out, {k: x for k, x in numbers.items() if k != "seed"}, started, seeds=[numbers["seed"]])
         sizes = ", ".join(f"{name} {counted(len(table), 'row')}" for name, table in folder.tables.items())
         print(f"wrote {out}: {counted(len(folder.rig.tags), 'tag')}, {sizes}")
         return 0
@@ -51,9 +48,9 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
     signature, hints = inspect.signature(world), get_type_hints(world, include_extras=True)
     keyword = inspect.Parameter.KEYWORD_ONLY
     options = [
-        p.replace(kind=keyword, annotation=hints[name]) for name, p in signature.parameters.items() if name != "ids"
+        inspect.Parameter("out", keyword, annotation=Folder),
+        *(p.replace(kind=keyword, annotation=hints[name]) for name, p in signature.parameters.items() if name != "ids"),
     ]
-    options.insert(0, inspect.Parameter("out", keyword, annotation=Folder))
     simulate.__signature__ = signature.replace(parameters=options, return_annotation=int)  # type: ignore[attr-defined]
     simulate.__annotations__ = {p.name: p.annotation for p in options} | {"return": int}
     # From Python 3.13 on docstrings have no indentation of their own.

@@ -1,10 +1,15 @@
-"""`trackwright track` and `evaluate`; `tracking.py`, `evaluating.py` and, for archives, `archive.py` do the work."""
+"""`trackwright track`, `evaluate`, `tune` and `sweep`; the modules that they import do the work."""
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
-
-from trackwright.experiments.cli.options import EvaluateOptions, PoseOptions, Recording, TrackOptions
+from trackwright.experiments.cli.options import (
+    EvaluateOptions,
+    PoseOptions,
+    Recording,
+    SweepOptions,
+    TrackOptions,
+    TuneOptions,
+)
 from trackwright.trackers.core.errors import UnusableInput
 
 
@@ -17,31 +22,28 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
     Args:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
     """
-    started = datetime.now(UTC)
-    from trackwright.experiments.cli.archive_folders import archive_of
-    from trackwright.experiments.cli.console import json_alone, notice_other_calibration, prepared, usable_recordings
-    from trackwright.experiments.cli.runtime import keep_programs
-    from trackwright.experiments.text.terminal import stages
+    from trackwright.experiments.cli.console import keep_programs, notices, prepared, running
+    from trackwright.trackers.recordings.archives import archive_of
 
     options.read()
-    if options.tuned is not None:
-        notice_other_calibration(options.noise, options.tuned, options.used.calibration)
-    with json_alone(options.json) as put, stages("track") as begin:
-        begin("reading")
+    if options.noise is not None and options.tuned is not None:
+        notices(filter(None, [options.tuned.other_calibration(options.noise, options.used.calibration)]))
+    with running("track", options.json) as run:
+        run.begin("reading")
         archive = archive_of(recordings, options.keep_going or options.cluster is not None)
         if archive is None:
-            usable, refused = usable_recordings(recordings, options.force, options.used.calibration is not None)
-            folders = prepared(usable, options.used)
-        begin("preparing")
+            refused: list[str] = []
+            folders = prepared(recordings, options.used, options.force, refused=refused)
+        run.begin("preparing")
         keep_programs()
         # jax takes a second to import, which a refused recording need not wait for.
         if archive is not None:
             from trackwright.experiments.cli.archive import track_archive
 
-            return track_archive(archive, options, started, begin, put)
-        from trackwright.experiments.cli.tracking import track_folders
+            return track_archive(archive, options, run)
+        from trackwright.experiments.cli.tracking import track_together
 
-        return track_folders(folders, refused, options, started, begin, put)
+        return track_together(folders, refused, options, run)
 
 
 DEFAULTS = EvaluateOptions()
@@ -59,35 +61,78 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
         runs: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
             tag, which --tag names; to compare, two or more folders of `track`, or two or more of `study`.
     """
-    if len(runs) > 1:
-        out = options.poses.out
-        if options != EvaluateOptions(json=options.json, poses=PoseOptions(out=out)):
-            raise UnusableInput(f"evaluate: {len(runs)} runs to compare; expected no option but --json and --out")
-        from trackwright.experiments.cli.evaluating import print_comparison
+    from trackwright.experiments.cli.evaluating import (
+        evaluate_archive,
+        evaluate_folder,
+        evaluate_poses,
+        print_comparison,
+    )  # fmt: skip
+    from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS
+    from trackwright.trackers.recordings.tracks_table import require_sources
 
-        print_comparison(runs, out, json=options.json)
+    folder, poses, truth = runs[0], options.poses, options.truth
+    if len(runs) > 1:
+        if options != EvaluateOptions(json=options.json, poses=PoseOptions(out=poses.out)):
+            raise UnusableInput(f"evaluate: {len(runs)} runs to compare; expected no option but --json and --out")
+        print_comparison(runs, poses.out, json=options.json)
         return 0
-    (folder,) = runs
-    poses, truth = options.poses, options.truth
     if not folder.exists():
         raise UnusableInput(f"{folder}: no such file; expected a folder with tracks.parquet, or a file of estimates")
-    from trackwright.experiments.cli.archive_folders import RECORDINGS, is_archive
-    from trackwright.experiments.cli.evaluating import evaluate_folder, evaluate_poses, sources
-    from trackwright.trackers.recordings.tracks_table import TRACKS
-
-    if is_archive(folder):
-        if poses.given or truth:
+    if (folder / RECORDINGS).is_dir():
+        if not (folder / RESULTS).is_file():
+            raise UnusableInput(f"{folder}: an archive that was not tracked to its end; run the same `track` again")
+        if poses != PoseOptions() or truth:
             fix = f"expected no --truth and trajectory options; evaluate one of {folder / RECORDINGS}/*/*"
             raise UnusableInput(f"{folder}: is an archive; {fix}")
-        # jax takes a second to import, which the help and a refused folder need not wait for.
-        from trackwright.experiments.cli.archive import evaluate_archive
-
         return evaluate_archive(folder, options)
-    if (folder / RECORDINGS).is_dir() and not (folder / TRACKS).exists():
-        raise UnusableInput(f"{folder}: an archive that was not tracked to its end; run the same `track` again")
-    if options.cluster is not None:
-        raise UnusableInput(f"--cluster {options.cluster}: {folder} is no archive; leave --cluster out")
-    if folder.is_file() or poses.given or not all(path.is_dir() for path in truth):
-        known = truth if truth or folder.is_file() else sources(folder)
-        return evaluate_poses(folder, known, options)
+    if folder.is_file() or poses != PoseOptions() or not all(path.is_dir() for path in truth):
+        return evaluate_poses(folder, truth if truth or folder.is_file() else require_sources(folder), options)
     return evaluate_folder(folder, options)
+
+
+def tune(*recordings: Recording, options: TuneOptions) -> int:
+    """Fit noise levels by gradient: values, intervals and a report.
+
+    Writes tuned.toml, for `--noise` of `track`, report.html, trace.csv and a checkpoint. Other tunables than noise
+    levels are fitted where --tune names them.
+
+    Args:
+        recordings: recording folders to fit to, all at once.
+    """
+    from trackwright.experiments.cli.console import keep_programs, prepared, running
+
+    options.read()
+    with running("tune", options.json) as run:
+        run.begin("reading")
+        paths = (*recordings, *options.held_out)
+        # For a cluster recordings are read one by one, of which the first says what they are.
+        folders = prepared(paths if options.cluster is None else paths[:1], options.used)
+        run.begin("preparing")
+        keep_programs()
+        # jax takes a second to import, which a refused recording need not wait for.
+        from trackwright.experiments.cli.tuning import tune_folders
+
+        return tune_folders(folders, paths, options, run)
+
+
+def sweep(*recordings: Recording, options: SweepOptions) -> int:
+    """Evaluate an objective on a grid of one or two noise levels.
+
+    Writes sweep.csv, the figure sweep.png and manifest.json.
+
+    Args:
+        recordings: recording folders, all at once.
+    """
+    from trackwright.experiments.cli.console import keep_programs, prepared, running
+
+    options.read()
+    _ = options.grids
+    with running("sweep", options.json) as run:
+        run.begin("reading")
+        folders = prepared(recordings, options.used, check=False)
+        run.begin("preparing")
+        keep_programs()
+        from trackwright.experiments.cli.tuning import sweep_folders
+
+        sweep_folders(folders, options, run)
+    return 0

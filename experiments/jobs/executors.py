@@ -9,18 +9,14 @@ from __future__ import annotations
 import functools
 import itertools
 import logging
-import math
 import os
 import pickle
 import platform
 import re
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from queue import SimpleQueue
-from threading import Event, Thread
 from typing import Any
 
 from trackwright.experiments.jobs.environment import environment, require_same
@@ -40,13 +36,10 @@ CONNECT_S = 10  # seconds to wait for a scheduler
 SILENT_S = 60
 """Seconds without a sign of life after which a local worker hangs: it is ended, and its part runs elsewhere."""
 
-GONE_S = 15.0
-"""Seconds after which a local worker that is gone is replaced: Dask starts none again that ends while it starts."""
-
 
 class Threads(ThreadPoolExecutor):
     """As many threads of this process as the host computes in parallel; `at_once`: parts that they are given at a time.
-    `devices`: each part is computed on one of these that computes no other; none: where jax would."""
+    `devices`: each thread computes on one of these; none: where jax would."""
 
     def __init__(self, devices: Sequence[Any] = ()) -> None:
         import jax
@@ -54,23 +47,9 @@ class Threads(ThreadPoolExecutor):
         from trackwright.trackers.core.run.chunks import n_workers
 
         threads = n_workers() * len(devices) // jax.local_device_count() if devices else n_workers()
-        super().__init__(threads)
-        self.at_once, self.free = 2 * threads, SimpleQueue[Any]()
-        for _, device in zip(range(threads), itertools.cycle(devices or [None]), strict=False):
-            self.free.put(device)
-
-    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        return super().submit(self._on_a_device, function, *args, **kwargs)
-
-    def _on_a_device(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        import jax
-
-        device = self.free.get()
-        try:
-            with jax.default_device(device):
-                return function(*args, **kwargs)
-        finally:
-            self.free.put(device)
+        free = itertools.cycle(devices or [None])
+        super().__init__(threads, initializer=lambda: jax.default_device(next(free)).__enter__())
+        self.at_once = 2 * threads
 
 
 @contextmanager
@@ -129,7 +108,7 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
         except (OSError, ValueError, TimeoutError) as error:
             fix = "expected one at this address; start one with `dask scheduler`"
             raise UnusableInput(f"--cluster {cluster}: no scheduler answers within {CONNECT_S} s; {fix}") from error
-        with client, _watching(_notice_empty(client, cluster)):
+        with client:
             yield client
         return
     # One thread a process computes one part at a time; memory is limited by the system alone, as it is for threads.
@@ -140,64 +119,8 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
     except RuntimeError as error:
         fix = "look at free memory and processes, then run the command again"
         raise UnusableInput(f"--cluster {cluster}: a process ended while it started; {fix}") from error
-    with (
-        local_cluster as started,
-        distributed.Client(started, set_as_default=False) as client,
-        _watching(_replace_gone(started, processes)),
-    ):
+    with local_cluster as started, distributed.Client(started, set_as_default=False) as client:
         yield client
-
-
-def _notice_empty(client: Any, cluster: str) -> Callable[[], None]:
-    """Says once that a cluster has had no workers for `GONE_S`, and once that it has some again."""
-    since, said = math.inf, False
-
-    def look() -> None:
-        nonlocal since, said
-        since = math.inf if client.nthreads() else min(since, time.monotonic())
-        if (time.monotonic() - since > GONE_S) != said:
-            said = not said
-            gone = "no worker is left; waiting for one; Ctrl-C stops, and finished parts are kept"
-            notice(f"{cluster}: {gone if said else 'goes on with a new worker'}")
-
-    return look
-
-
-def _replace_gone(cluster: Any, processes: int) -> Callable[[], None]:
-    """Replaces workers of a local cluster that have been gone for `GONE_S`."""
-    since: dict[Any, float] = {}
-
-    async def replace() -> None:
-        present = {worker["name"] for worker in cluster.scheduler_info["workers"].values()}
-        for name in list(cluster.workers):
-            if name in present:
-                since.pop(name, None)
-            elif time.monotonic() - since.setdefault(name, time.monotonic()) > GONE_S:
-                del since[name]
-                await cluster.workers.pop(name).close()
-        cluster.scale(processes)
-
-    return lambda: cluster.sync(replace)
-
-
-@contextmanager
-def _watching(look: Callable[[], None]) -> Iterator[None]:
-    """Looks at a cluster every second, in a thread of its own."""
-    end = Event()
-
-    def watch() -> None:
-        while not end.wait(1.0):
-            # One that is lost, or being closed, does not answer; what waits for it learns the same.
-            with suppress(Exception):
-                look()
-
-    watching = Thread(target=watch, daemon=True)
-    watching.start()
-    try:
-        yield
-    finally:
-        end.set()
-        watching.join(CONNECT_S)
 
 
 class WorkerExecutor(Executor):

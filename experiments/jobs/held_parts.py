@@ -5,18 +5,21 @@ from __future__ import annotations
 import functools
 import pickle
 import platform
+import shutil
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
+from trackwright.experiments.jobs import executors
 from trackwright.experiments.jobs.executors import computed
 from trackwright.experiments.jobs.portable import file_of, spec_here
-from trackwright.experiments.jobs.run import finished
+from trackwright.experiments.jobs.store import finished
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write
@@ -34,6 +37,21 @@ class FitWorkers(NamedTuple):
     client: Any
     expected: Mapping[str, Any]
     folder: Path
+
+
+@contextmanager
+def fit_workers(cluster: str, out: Path) -> Iterator[FitWorkers]:
+    """The workers of a cluster with a folder of their files in `out`, emptied first."""
+    folder = out / ".tune-parts"
+    shutil.rmtree(folder, ignore_errors=True)
+    try:
+        with executors.cluster_client(cluster) as (client, expected):
+            folder.mkdir()
+            yield FitWorkers(client, expected, folder)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):
+            out.rmdir()  # if nothing was written
 
 
 class HeldParts(Parts):

@@ -4,8 +4,8 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
+from trackwright.experiments.cli.console import keep_programs
 from trackwright.experiments.cli.main import run_alone
-from trackwright.experiments.cli.runtime import keep_programs
 from trackwright.experiments.lab.runner import EVIDENCE, measure
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput, near

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fnmatch
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from trackwright.experiments.monte_carlo.tracked import TrackedChunk
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import tunables, with_values
 from trackwright.trackers.core.run.smoother import Smoothed
-from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.evaluation.bounds import bounds_of
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
@@ -35,7 +33,10 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
         if study.measures:
             runs = tracked.runs(0, len(ids))
             for measure, function in study.measures.items():
-                arrays[f"measure {measure}"] = _measured(study, measure, function(runs), len(ids))
+                values = arrays[f"measure {measure}"] = np.asarray(function(runs), float)
+                if values.shape != ids.shape:
+                    found = f"measure '{measure}' returns shape {values.shape}; expected {ids.shape}"
+                    raise UnusableInput(f"study '{study.name}': {found}, one number for each trajectory")
         if first:
             if "us_per_row" in study.metrics:
                 # A second run: the first one also compiled.
@@ -62,56 +63,32 @@ def require_fitting_parts(study: Study) -> None:
 def _prepared(
     study: Study, condition: Condition, ids: np.ndarray
 ) -> tuple[RecordingFolder, dict[str, list[TrackerBatch]]]:
-    """The simulated recording of the trajectories with these ids, and the batches of every tracker."""
-    folder = _simulated(study, condition, ids)
-    untuned = {name: c.spec.batches([folder], name, c.free_height) for name, c in study.trackers.items()}
-    _require_grid_is_used(study, condition, untuned)
-    return folder, {
-        name: _configured(study, condition, name, config, untuned[name]) for name, config in study.trackers.items()
-    }
-
-
-def _simulated(study: Study, condition: Condition, ids: np.ndarray) -> RecordingFolder:
+    """The simulated recording of the trajectories with these ids, and the batches of every tracker, with the values of
+    its own and of the grid. Raises UnusableInput for a name in the grid that matches no tunable of any tracker."""
+    where = f"study '{study.name}'"
     try:
-        return study.worlds[condition.world].make(ids, study.seed, **study.numbers(condition))
+        folder = study.worlds[condition.world].make(ids, study.seed, **study.numbers(condition))
     except (TypeError, ValueError) as error:
-        raise UnusableInput(f"study '{study.name}', world '{condition.world}': {error}") from error
-
-
-def _configured(
-    study: Study, condition: Condition, name: str, config: TrackerConfig, batches: list[TrackerBatch]
-) -> list[TrackerBatch]:
-    where = f"study '{study.name}', tracker '{name}'"
-    made = []
-    for batch in batches:
-        tracker = with_values(batch.tracker, dict(config.tunables), where)
-        tracker = with_values(tracker, _grid_values(condition, tracker), where)
-        if config.smooth:
-            if not isinstance(tracker, Tracker):
-                raise UnusableInput(f"{where}: smooth: this tracker has no smoother; remove `smooth`")
+        raise UnusableInput(f"{where}, world '{condition.world}': {error}") from error
+    grid, known = {k: v for k, v in condition.numbers.items() if not k.startswith(WORLD)}, set[str]()
+    prepared: dict[str, list[TrackerBatch]] = {}
+    for name, config in study.trackers.items():
+        for batch in config.spec.batches([folder], name, config.free_height):
+            of = f"{where}, tracker '{name}'"
+            names = list(tunables(batch.tracker))
+            known.update(names)
+            own = {pattern: value for pattern, value in grid.items() if fnmatch.filter(names, pattern)}
+            tracker: Any = with_values(with_values(batch.tracker, dict(config.tunables), of), own, of)
             try:
-                tracker = Smoothed(tracker, None)
+                tracker = Smoothed(tracker, None) if config.smooth else tracker
             except TypeError as error:
-                raise UnusableInput(f"{where}: smooth: {error}; remove `smooth`") from error
-        made.append(TrackerBatch(tracker, batch.trajectories, batch.planar))
-    return made
-
-
-def _grid_values(condition: Condition, tracker: AbstractTracker) -> dict[str, Any]:
-    """The values of the grid for tunables of this tracker."""
-    names = list(tunables(tracker))
-    return {k: v for k, v in condition.numbers.items() if not k.startswith(WORLD) and fnmatch.filter(names, k)}
-
-
-def _require_grid_is_used(study: Study, condition: Condition, untuned: Mapping[str, list[TrackerBatch]]) -> None:
-    """Refuse a grid name that matches no tunable of any tracker."""
-    names = {name for batches in untuned.values() for batch in batches for name in tunables(batch.tracker)}
-    for pattern in condition.numbers:
-        if not pattern.startswith(WORLD) and not fnmatch.filter(names, pattern):
-            known = f"'world.' and a parameter of the worlds, or one of {', '.join(sorted(names))}"
-            raise UnusableInput(
-                f"study '{study.name}': grid '{pattern}': no tracker has such a tunable; expected {known}"
-            )
+                raise UnusableInput(f"{of}: smooth: {error}; remove `smooth`") from error
+            prepared.setdefault(name, []).append(TrackerBatch(tracker, batch.trajectories, batch.planar))
+    for pattern in grid:
+        if not fnmatch.filter(known, pattern):
+            fix = f"expected 'world.' and a parameter of the worlds, or one of {', '.join(sorted(known))}"
+            raise UnusableInput(f"{where}: grid '{pattern}': no tracker has such a tunable; {fix}")
+    return folder, prepared
 
 
 def _track(
@@ -131,14 +108,6 @@ def _track(
         tracked.append((trajectories, batch.tracker.run(whole, study.chunk)))
         seconds += time.perf_counter() - began
     return TrackedChunk(ids, tracked, all(batch.planar for batch in batches), config.every), seconds
-
-
-def _measured(study: Study, name: str, returned: Any, n: int) -> np.ndarray:
-    values = np.asarray(returned, float)
-    if values.shape != (n,):
-        found = f"measure '{name}' returns shape {values.shape}"
-        raise UnusableInput(f"study '{study.name}': {found}; expected ({n},), one number for each trajectory")
-    return values
 
 
 def _bounds(folder: RecordingFolder, batches: list[TrackerBatch]) -> np.ndarray:

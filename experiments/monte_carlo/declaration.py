@@ -136,36 +136,30 @@ class Study:
 
 def checked(study: Study) -> Study:
     """The study; raises UnusableInput for empty parts, unknown trackers and metrics, and values out of range."""
-    where = f"study '{study.name}'"
-    if not re.fullmatch(r"\w[^/\\]*", study.name):
-        raise UnusableInput(f"{where}: expected a name that a folder can have, without / and \\; rename it")
-    for what, named in (("worlds", study.worlds), ("trackers", study.trackers)):
-        if not named:
-            raise UnusableInput(f"{where}: no {what}; expected at least one; add a table [{what}.NAME]")
-    if not 1 <= study.runs <= 10**9:
-        raise UnusableInput(f"{where}: runs = {study.runs}; expected a whole number from 1 to 1e9")
-    if not 0 <= study.seed < 2**63:
-        raise UnusableInput(f"{where}: seed = {study.seed}; expected a whole number from 0 to 2^63 - 1")
+    where, names = f"study '{study.name}'", (*METRICS, *STUDIES, *study.measures)
+    for fits, words in (
+        (re.fullmatch(r"\w[^/\\]*", study.name), "expected a name that a folder can have, without / and \\; rename it"),
+        (study.worlds, "no worlds; expected at least one; add a table [worlds.NAME]"),
+        (study.trackers, "no trackers; expected at least one; add a table [trackers.NAME]"),
+        (1 <= study.runs <= 10**9, f"runs = {study.runs}; expected a whole number from 1 to 1e9"),
+        (0 <= study.seed < 2**63, f"seed = {study.seed}; expected a whole number from 0 to 2^63 - 1"),
+        *((metric in names, f"metrics: no metric {metric!r}{near(str(metric), names)}; names: {', '.join(names)}")
+          for metric in study.metrics),
+        *((len(values) and not isinstance(values, str), f"grid '{name}' is empty; expected a list of values")
+          for name, values in study.grid.items()),
+    ):  # fmt: skip
+        if not fits:
+            raise UnusableInput(f"{where}: {words}")
     for name, config in study.trackers.items():
         try:
             _ = config.spec
         except UnusableInput as error:
             raise UnusableInput(f"{where}: trackers.{name}: {str(error).removeprefix('--')}") from error
-        for tunable, value in config.tunables.items():
-            _require_possible(f"{where}: trackers.{name}.{tunable}", value)
-    for name, values in study.grid.items():
-        if isinstance(values, str) or not len(values):
-            raise UnusableInput(f"{where}: grid '{name}' is empty; expected a list of at least one value")
-        for value in values:
-            _require_possible(f"{where}: grid '{name}'", value)
-    names = (*METRICS, *STUDIES, *study.measures)
-    for metric in study.metrics:
-        if metric not in names:
-            known = f"{near(str(metric), names)}; names: {', '.join(names)}"
-            raise UnusableInput(f"{where}: metrics: no metric {metric!r}{known}")
-    for world in study.worlds.values():
-        for name, value in world.numbers.items():
-            _require_possible(f"{where}: worlds: {name}", value)
+    numbers = [(f"trackers.{name}.{t}", x) for name, c in study.trackers.items() for t, x in c.tunables.items()]
+    numbers += [(f"grid '{name}'", value) for name, values in study.grid.items() for value in values]
+    numbers += [(f"worlds: {name}", x) for world in study.worlds.values() for name, x in world.numbers.items()]
+    for what, value in numbers:
+        _require_possible(f"{where}: {what}", value)
     return study
 
 

@@ -49,35 +49,23 @@ class Totals:
 
     def add(self, start: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Add a chunk whose first trajectory is `start`; trajectories beyond the last run are left out."""
-        stop = min(start + len(arrays["sum n"]), self.runs)
-        # As slices, each trajectory of another block: adding to repeated indices takes ten times as long.
-        for first in range(start - start % self.blocks, stop, self.blocks):
-            begin, end = max(start, first), min(stop, first + self.blocks)
-            self._add_to_blocks(slice(begin - first, end - first), slice(begin - start, end - start), arrays)
-        for name, values in arrays.items():
-            what, _, rest = name.partition(" ")
-            if what == "measure":
-                self.measures.setdefault(rest, np.full(self.runs, np.nan))[start:stop] = values[: stop - start]
-            elif name == "bounds":
-                self.bounds = values
-            elif name == "us_per_row":
-                self.us_per_row = float(values)
-            elif name == "seconds":
-                self.seconds += float(values)
-
-    def _add_to_blocks(self, blocks: slice, which: slice, arrays: Mapping[str, np.ndarray]) -> None:
-        """Add the trajectories `which` of a chunk to as many blocks."""
+        count = min(len(arrays["sum n"]), self.runs - start)
+        blocks = (start + np.arange(count)) % self.blocks
         for name, values in arrays.items():
             what, _, rest = name.partition(" ")
             if what == "sum":
-                self.sums.setdefault(rest, np.zeros(self.blocks))[blocks] += values[which]
+                np.add.at(self.sums.setdefault(rest, np.zeros(self.blocks)), blocks, values[:count])
             elif what == "largest":
-                top = self.largest.setdefault(rest, np.full(self.blocks, np.nan))[blocks]
-                np.fmax(top, values[which], out=top)
+                np.fmax.at(self.largest.setdefault(rest, np.full(self.blocks, np.nan)), blocks, values[:count])
             elif what == "cells":
-                table = self.histograms.setdefault(rest, np.zeros((self.blocks, BINS)))
-                part = slice(*np.searchsorted(values, [which.start * BINS, which.stop * BINS]))
-                table.reshape(-1)[values[part] + (blocks.start - which.start) * BINS] += arrays[f"counts {rest}"][part]
+                track, at = np.divmod(values, BINS)
+                own, table = track < count, self.histograms.setdefault(rest, np.zeros((self.blocks, BINS)))
+                np.add.at(table, (blocks[track[own]], at[own]), arrays[f"counts {rest}"][own])
+            elif what == "measure":
+                self.measures.setdefault(rest, np.full(self.runs, np.nan))[start : start + count] = values[:count]
+        self.bounds = arrays.get("bounds", self.bounds)
+        self.us_per_row = float(arrays.get("us_per_row", self.us_per_row))
+        self.seconds += float(arrays.get("seconds", 0.0))
 
 
 CONSTANT = ("bound_m", "bound_3d_m", "us_per_row")

@@ -14,12 +14,12 @@ import jax
 import numpy as np
 
 from trackwright.experiments.jobs.executors import Threads
-from trackwright.experiments.jobs.run import run
+from trackwright.experiments.jobs.store import run
 from trackwright.experiments.monte_carlo.chunk import require_fitting_parts, run_chunk
-from trackwright.experiments.monte_carlo.chunk_store import IDENTITY, ChunkStore, Part, packed
 from trackwright.experiments.monte_carlo.declaration import Condition, Study
 from trackwright.experiments.monte_carlo.results import NAMES, Results
 from trackwright.experiments.monte_carlo.sources import PortableStudy
+from trackwright.experiments.monte_carlo.store import IDENTITY, ChunkStore, Part, packed
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.programs.process_settings import keep
 
@@ -70,8 +70,8 @@ def run_study(
         runs = {condition.index: study.runs for condition in study.conditions}
     else:
         runs = {c.index: _run_until(store, c, until, advance, executor) for c in study.conditions}
-    whole = all(store.kept((index, k)) for index, n in runs.items() for k in range(-(-n // study.chunk)))
-    return store.results(runs) if whole else None
+    every = ((index, k) for index, n in runs.items() for k in range(-(-n // study.chunk)))
+    return None if store.missing(every) else store.results(runs)
 
 
 def _run_until(
@@ -93,13 +93,13 @@ def run_missing(
     store: ChunkStore, parts: Sequence[Part], advance: Advance = lambda *_: None, executor: Executor | None = None
 ) -> None:
     """Run the chunks that are not in the store, on the executor or as many in parallel as the host allows."""
-    study, missing = store.study, [part for part in parts if store.kept(part) is None]
+    study, missing = store.study, store.missing(parts)
     advance(len(parts) - len(missing))
     if not missing:
         return
     labels = [condition.label for condition in study.conditions]
 
-    def each(part: Part, path: Path) -> None:
+    def each(part: Part, kept: object) -> None:
         advance(1, labels[part[0]])
 
     if executor is not None:

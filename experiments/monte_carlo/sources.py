@@ -7,24 +7,50 @@ import importlib
 import importlib.util
 import pkgutil
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
+
+from pydantic import StrictBool, StrictFloat, StrictInt, StrictStr
 
 from trackwright.experiments.jobs.portable import Files, copied
-from trackwright.experiments.monte_carlo.chunk_store import first_difference, identity
-from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
+from trackwright.experiments.monte_carlo.declaration import DEFAULT_METRICS, Study, TrackerConfig, World, checked
+from trackwright.experiments.monte_carlo.store import first_difference, identity
 from trackwright.sim.worlds import WORLDS
-from trackwright.trackers.core.errors import UnusableInput, near
+from trackwright.trackers.core.errors import UnusableInput, listed, near
 from trackwright.trackers.core.user_file import fault_of, run_file, split_name
-from trackwright.trackers.recordings.input_file import read_toml
+from trackwright.trackers.recordings.input_file import read_model
 
 PAPERS = "trackwright.experiments.lab.papers"  # in whose folders studies are looked for by name
-KINDS = {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}
-STUDY_KEYS = {
-    "name": str, "about": str, "runs": int, "seed": int, "metrics": list,
-    "worlds": dict, "trackers": dict, "grid": dict,
-}  # fmt: skip
-TRACKER_KEYS = {"tracker": str, "tunables": dict, "smooth": bool, "free_height": bool, "every": float}
+
+
+@dataclass(frozen=True)
+class TrackerTable:
+    """A tracker of a study in TOML, as `TrackerConfig`; by default the name of the table is the tracker's."""
+
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+
+    tracker: StrictStr | None = None
+    tunables: dict[str, Any] = field(default_factory=dict)
+    smooth: StrictBool = False
+    free_height: StrictBool = False
+    every: StrictFloat | None = None
+
+
+@dataclass(frozen=True)
+class StudyFile:
+    """A study in TOML, as `Study`; of a world all keys but `kind` are its parameters."""
+
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+
+    name: StrictStr = ""
+    about: StrictStr = ""
+    runs: StrictInt = 200
+    seed: StrictInt = 0
+    metrics: list[Any] = field(default_factory=lambda: [*DEFAULT_METRICS])
+    worlds: dict[str, dict[str, Any]] = field(default_factory=dict)
+    trackers: dict[str, TrackerTable] = field(default_factory=dict)
+    grid: dict[str, list[Any]] = field(default_factory=dict)
 
 
 def available_studies() -> list[str]:
@@ -94,53 +120,27 @@ def _from_python(path: Path) -> Study:
 
 
 def _from_toml(path: Path) -> Study:
-    content = read_toml(path, "a study")
-    _check_keys(path, "", content, STUDY_KEYS)
-    trackers = {}
-    for name, table in content.get("trackers", {}).items():
-        _check_keys(path, f"trackers.{name}", table, TRACKER_KEYS)
-        trackers[name] = TrackerConfig(**{"tracker": name, **table})
-    for name, values in content.get("grid", {}).items():
-        if not isinstance(values, list):
-            raise UnusableInput(f"{path}: grid.'{name}' = {values!r}; expected a list of values")
-    return Study(
-        name=content.get("name", path.stem),
-        about=content.get("about", ""),
-        worlds={name: _world(path, name, table) for name, table in content.get("worlds", {}).items()},
-        trackers=trackers,
-        source=path.read_text("utf-8-sig"),
-        **{k: content[k] for k in ("runs", "seed", "metrics", "grid") if k in content},
-    )
+    content = read_model(path, StudyFile, f"the keys {listed((x.name for x in dataclasses.fields(StudyFile)), 9)}")
+    trackers = {
+        name: TrackerConfig(**{**vars(table), "tracker": table.tracker or name})
+        for name, table in content.trackers.items()
+    }
+    worlds = {name: _world(f"{path}: worlds.{name}", name, table) for name, table in content.worlds.items()}
+    changed = {"name": content.name or path.stem, "worlds": worlds, "trackers": trackers}
+    return Study(**{**vars(content), **changed, "source": path.read_text("utf-8-sig")})
 
 
-def _world(path: Path, name: str, table: Any) -> World:
-    where = f"worlds.{name}"
-    if not isinstance(table, Mapping):
-        raise UnusableInput(f"{path}: {where} = {table!r}; expected a table, [{where}]")
-    if "world" in table:
-        world = table["world"]
-        raise UnusableInput(f"{path}: '{where}.world' is unknown; the world is kind = {world!r}; rename the key")
+def _world(where: str, name: str, table: Mapping[str, Any]) -> World:
     kind = table.get("kind", name)
+    if "world" in table:
+        raise UnusableInput(f"{where}.world is unknown; the world is kind = {table['world']!r}; rename the key")
     if not isinstance(kind, str) or kind not in WORLDS:
-        raise UnusableInput(f"{path}: {where}: kind '{kind}' is unknown; expected one of {', '.join(WORLDS)}")
+        raise UnusableInput(f"{where}: kind '{kind}' is unknown; expected one of {', '.join(WORLDS)}")
     return World(WORLDS[kind], {k: v for k, v in table.items() if k != "kind"})
 
 
-def _check_keys(path: Path, where: str, table: Any, keys: Mapping[str, type]) -> None:
-    """Refuse anything but a table with these keys and types."""
-    if not isinstance(table, Mapping):
-        raise UnusableInput(f"{path}: {where} = {table!r}; expected a table, [{where}]")
-    for key, value in table.items():
-        full = f"{where}.{key}" if where else key
-        if key not in keys:
-            raise UnusableInput(f"{path}: '{full}' is unknown; expected {', '.join(keys)}")
-        # A whole number is a number; a bool is neither, although Python counts it as an int.
-        if type(value) not in ((int, float) if keys[key] is float else (keys[key],)):
-            raise UnusableInput(f"{path}: {full} = {value!r}; expected {KINDS[keys[key]]}")
-
-
 class PortableStudy(NamedTuple):
-    """The declaration of a study as loaded by name or file; raises UnusableInput for any other one."""
+    """The declaration of a study as it travels: its name or file, the texts of users' files, runs and seed."""
 
     what: str
     files: Files
@@ -149,28 +149,26 @@ class PortableStudy(NamedTuple):
 
     @classmethod
     def of(cls, study: Study) -> PortableStudy:
-        """The declaration of a study as it travels: its name or file, the users' files, runs and seed."""
-        where = f"study '{study.name}'"
-        if not study.declared_in:
-            fix = "expected one that other processes can build; write it to a file and load it with load_study"
-            raise UnusableInput(f"{where}: was built in memory; {fix}")
-        again = _numbered(load_study(study.declared_in), study.runs, study.seed)
-        difference = first_difference(identity(again), identity(study))
-        if difference:
-            fix = "expected the same, since other processes build it from there; write the change to the file"
-            raise UnusableInput(f"{where}: differs from its declaration {study.declared_in} ({difference}); {fix}")
+        """The declaration of a study that was loaded by name or file; raises UnusableInput for any other one."""
         names = [config.tracker for config in study.trackers.values() if isinstance(config.tracker, str)]
-        trackers = sorted({file for file, _ in map(split_name, names) if file})
-        files = {file: Path(file).read_text("utf-8") for file in trackers}
+        files = {
+            file: Path(file).read_text("utf-8") for file in sorted({split_name(name)[0] for name in names}) if file
+        }
         if Path(study.declared_in).suffix in (".toml", ".py"):
             files = {study.declared_in: study.source, **files}
+        difference = "built in memory"
+        if study.declared_in:
+            difference = first_difference(identity(_numbered(load_study(study.declared_in), study)), identity(study))
+        if difference:
+            fix = "expected one loaded from a file, from which other processes build it; write the change to the file"
+            raise UnusableInput(f"study '{study.name}': differs from its declaration ({difference}); {fix}")
         return cls(study.declared_in, tuple(files.items()), study.runs, study.seed)
 
     def study(self) -> Study:
         """The study; the files' texts stand for the files."""
         with copied(self.files) as places:
-            return _numbered(load_study(places.get(self.what, self.what), places), self.runs, self.seed)
+            return _numbered(load_study(places.get(self.what, self.what), places), self)
 
 
-def _numbered(study: Study, runs: int, seed: int) -> Study:
-    return checked(dataclasses.replace(study, runs=runs, seed=seed))
+def _numbered(study: Study, other: Study | PortableStudy) -> Study:
+    return checked(dataclasses.replace(study, runs=other.runs, seed=other.seed))

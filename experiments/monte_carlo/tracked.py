@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,39 +80,20 @@ class TrackedChunk:
             if not len(which):
                 continue
             tag, station = group.number[which] - first, group.station[which]
-            which = _slice_of(which)
-            group_estimates, rows = group.estimates[which], group.rows[which]
-            group_estimates = replace(group_estimates, status=np.ascontiguousarray(group_estimates.status))
-            # Slices where they do: an index for each trajectory takes five times as long.
-            own = (_slice_of(tag), station[0]) if (station == station[0]).all() else (tag, station)
-            at: Any = (own[0], slice(0, rows.shape[1]), own[1])
-            times[at[:2]] = group_estimates.valid_times(rows)
-            status[at], nis[at], dof[at] = group_estimates.status, group_estimates.nis, group_estimates.nis_dof
-            usable = group_estimates.usable
-            position = _position(group.trajectories, group_estimates, which)
+            own, rows, truth_known = group.estimates[which], group.rows[which], group.known[which]
+            at: Any = (tag, slice(0, rows.shape[1]), station)
+            times[at[:2]] = own.valid_times(rows)
+            status[at], nis[at], dof[at], truth[at] = own.status, own.nis, own.nis_dof, group.truth[which]
+            usable, position = own.usable, _position(group.trajectories, own, which)
             for k, values in enumerate(position):
-                estimates[(*at, k)] = _where(usable, values)
-            entries = _covariance(self.bearing, group_estimates)
+                estimates[(*at, k)] = np.where(usable, values, np.nan)
+            entries = _covariance(self.bearing, own)
             for i, j in np.ndindex(len(entries), len(entries)):
-                # Copies of an entry above the diagonal are contiguous.
-                symmetric = i > j and not self.bearing
-                covariance[(*at, i, j)] = covariance[(*at, j, i)] if symmetric else _where(usable, entries[i][j])
-            truth[at] = group.truth[which]
-            comparable = group.known[which] & usable & np.isfinite(position[0]) & np.isfinite(position[1])
-            known[at] = _scored_rows(group_estimates, rows, comparable, self.every)
+                covariance[(*at, i, j)] = np.where(usable, entries[i][j], np.nan)
+            comparable = truth_known & usable & np.isfinite(position[0]) & np.isfinite(position[1])
+            known[at] = _scored_rows(own, rows, comparable, self.every)
         runs = TrackedRuns(times, estimates, covariance, truth, known, status, nis, dof, self.folder)
         return runs if self.bearing else runs.at_station(0)
-
-
-def _slice_of(numbers: np.ndarray) -> Any:
-    """The numbers, as a slice where they are consecutive."""
-    consecutive = np.array_equal(numbers, np.arange(numbers[0], numbers[0] + len(numbers)))
-    return slice(int(numbers[0]), int(numbers[0]) + len(numbers)) if consecutive else numbers
-
-
-def _where(usable: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The values (n, T), NaN where not usable."""
-    return values if usable.all() else np.where(usable, np.ascontiguousarray(values), np.nan)
 
 
 def _position(trajectories: Trajectories, estimates: Estimates, which: Any) -> list[np.ndarray]:

@@ -20,7 +20,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.bounds import bounds_of
 from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
-from trackwright.trackers.evaluation.metrics import METRICS, metrics, sums
+from trackwright.trackers.evaluation.metrics import metrics, sums
 from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, is_scored, scored_rows, wrapped
 from trackwright.trackers.recordings.columns import float_column, run_starts
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -35,9 +35,6 @@ AnyRecording = RecordingFolder | Recording
 
 DRAWN = 4
 """The most recordings with figures and a Cramér–Rao bound, and the most tracks of bearings with figures."""
-
-IN_PLANE = "in-plane angle"
-"""Name of a direction in the plane of a flat array."""
 
 
 class Component(NamedTuple):
@@ -67,32 +64,33 @@ class ScoredRecording:
         """Columns of the table (n, k); NaN where a value is missing."""
         return np.stack([float_column(self.rows, name) for name in names], axis=1)
 
-    @property
+    @cached_property
     def times(self) -> np.ndarray:
         """The times (n,) of the rows, s."""
         return float_column(self.rows, "t_s")
-
-    @property
-    def places(self) -> np.ndarray:
-        """The estimates (n, 2) over the floor, m; NaN in rows without one."""
-        return self.columns("x_m", "y_m")
-
-    @property
-    def truth(self) -> np.ndarray:
-        """The true positions (n, 3), m, at the times of the rows."""
-        return self.columns(*(f"true_{axis}" for axis in AXES))
 
     @cached_property
     def scored(self) -> np.ndarray:
         """Mask (n,) of the rows with both an estimate and a truth."""
         return is_scored(self.rows)
 
+    @property
+    def angles(self) -> bool:
+        """Whether the estimates are bearings."""
+        return is_bearing(self.rows)
+
+    @cached_property
+    def sigmas(self) -> np.ndarray:
+        """The reported standard deviations (n, 3), m, or of bearings (n, 2), rad; NaN for a known height."""
+        sigmas = self.columns(*(f"std_{name}" for name in (ANGLES if self.angles else AXES)))
+        return np.where(sigmas == 0, np.nan, sigmas)
+
     @cached_property
     def errors(self) -> np.ndarray:
-        """The errors (n, 3), m, or of bearings (n, 2), rad; NaN for a known height and in rows that are not scored."""
+        """The errors, with shape and unit of `sigmas`; NaN for a known height and in rows that are not scored."""
         errors = self.columns(*(f"error_{name}" for name in (ANGLES if self.angles else AXES)))
         if not self.angles:
-            errors[~(float_column(self.rows, "std_z_m") > 0), 2] = np.nan
+            errors[~(self.sigmas[:, 2] > 0), 2] = np.nan
         return errors
 
     @cached_property
@@ -110,63 +108,48 @@ class ScoredRecording:
         """The first row of each track."""
         return self.rows[self.starts[:-1]]
 
-    @property
+    @cached_property
     def zero(self) -> float:
         """The time, s, from which times are shown: zero, or the first reading's where they count from 1970."""
         tables = {name: table for name, table in self.folder.tables.items() if name in KINDS}
         return zero_of(first_time(tables) if tables else float(np.min(self.times, initial=np.inf)))
-
-    @property
-    def angles(self) -> bool:
-        """Whether the estimates are bearings."""
-        return is_bearing(self.rows)
-
-    @property
-    def in_plane(self) -> bool:
-        """Whether the estimates are angles in the plane of a flat array."""
-        azimuth = float_column(self.rows, "azimuth_rad")
-        # In the plane of an array each azimuth is ± 90°; without angles none is known.
-        known = azimuth[np.isfinite(azimuth)]
-        return bool(len(known)) and bool(in_plane(known).all())
-
-    def sigmas(self) -> np.ndarray:
-        """The reported standard deviations, with shape and unit of `errors`; NaN for a known height."""
-        sigmas = self.columns(*(f"std_{name}" for name in (ANGLES if self.angles else AXES)))
-        sigmas[sigmas == 0] = np.nan
-        return sigmas
 
     def components(self) -> list[Component]:
         """x, y and z, m, or azimuth and elevation, °, of all rows; a direction in an array's plane is one angle.
 
         Heights without a standard deviation, as known ones, are left out.
         """
-        sigmas = self.sigmas()
+        errors, sigmas = self.errors, self.sigmas
         if not self.angles:
-            numbers = zip("xyz", self.columns(*AXES).T, self.errors.T, sigmas.T, strict=True)
+            numbers = zip("xyz", self.columns(*AXES).T, errors.T, sigmas.T, strict=True)
             components = [Component(axis, "m", *values) for axis, *values in numbers]
             return components if np.isfinite(sigmas[:, 2]).any() else components[:2]
-        names, errors, angles = ["azimuth", "elevation"], self.errors, self.columns(*ANGLES)
-        if self.in_plane:
-            angle = in_the_plane(angles)
-            turned = angle - in_the_plane(angles - errors)
-            errors, names = wrapped(turned)[:, None], [IN_PLANE]
-            angles, sigmas = angle[:, None], sigmas[:, 1:]
+        names, angles = ["azimuth", "elevation"], self.columns(*ANGLES)
+        known = angles[np.isfinite(angles[:, 0]), 0]
+        # In the plane of a flat array each azimuth is ± 90°.
+        if len(known) and in_plane(known).all():
+            shown, true = (np.arctan2(np.sin(b), np.sin(a) * np.cos(b)) for a, b in (angles.T, (angles - errors).T))
+            errors, names = wrapped(shown - true)[:, None], ["in-plane angle"]
+            angles, sigmas = shown[:, None], sigmas[:, 1:]
         parts = (np.degrees(part).T for part in (angles, errors, sigmas))
         return [Component(name, "°", *numbers) for name, *numbers in zip(names, *parts, strict=True)]
 
     def nees_by_shape(self) -> dict[str, tuple[np.ndarray, int]]:
         """NEES (n,) and its degrees of freedom: of horizontal and 3-D positions, of both angles or of the only one."""
-        if self.in_plane:
-            (angle,) = self.components()
-            return {angle.name: ((angle.errors / angle.sigmas) ** 2, 1)}
-        nees = {name: (float_column(self.rows, name), dof) for name, dof in (("nees", 2), ("nees_3d", 3))}
-        return {"both angles": nees["nees"]} if self.angles else {"horizontal": nees["nees"], "3-D": nees["nees_3d"]}
+        if self.angles and len(parts := self.components()) == 1:
+            return {parts[0].name: ((parts[0].errors / parts[0].sigmas) ** 2, 1)}
+        flat, space = (float_column(self.rows, name) for name in ("nees", "nees_3d"))
+        return {"both angles": (flat, 2)} if self.angles else {"horizontal": (flat, 2), "3-D": (space, 3)}
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether some row has a truth beside its ellipse."""
+        return any(np.isfinite(nees).any() for nees, _ in self.nees_by_shape().values())
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Times (t,), s, and Cramér–Rao bounds (t, 3), m, on the standard deviations; None without."""
-        known = not self.angles and self.scored.any()
-        return bounds_of(self.folder, self.batches) if known else None
+        return bounds_of(self.folder, self.batches) if not self.angles and self.scored.any() else None
 
     def rows_of(self, track: int) -> slice:
         """The rows of a track by its number."""
@@ -175,13 +158,11 @@ class ScoredRecording:
     @cached_property
     def rmse(self) -> np.ndarray:
         """The RMSE of each track (g,), horizontal in m or of the direction in rad; NaN without truth."""
-        name = main_size(self.rows).replace("size", "rmse")
-        return float_column(metrics(sums(self.rows, "track", of=[name])), name)
+        return rmse_by(self.rows, "track")
 
     def worst_first(self) -> list[int]:
         """The numbers of the tracks from the largest RMSE to the smallest, those without truth last."""
-        order = np.argsort(-np.nan_to_num(self.rmse, nan=-1.0), kind="stable")
-        return [int(k) for k in order]
+        return np.argsort(-np.nan_to_num(self.rmse, nan=-1.0), kind="stable").tolist()
 
 
 @dataclass(frozen=True)
@@ -200,29 +181,31 @@ class ScoredTracks:
     @cached_property
     def drawn(self) -> dict[int, str]:
         """The numbers of the recordings with figures, and why these: all, or the worst, the median and the best."""
-        name = main_size(self.rows).replace("size", "rmse")
-        rmse = dict(sums(self.rows, "recording", of=[name]).select("recording", METRICS[name].expr).iter_rows())
-        return drawn_of(np.array([rmse.get(folder.name) for folder in self.folders], float), self.bearing)
+        names = self.rows["recording"].unique(maintain_order=True)
+        rmse = dict(zip(names, rmse_by(self.rows, "recording"), strict=True))
+        return drawn_of(np.array([rmse.get(folder.name, np.nan) for folder in self.folders]), self.bearing)
 
     @cached_property
     def recordings(self) -> list[ScoredRecording]:
         """Each recording with its rows; those with figures with what their bounds need."""
-        parts = [self.rows.filter(pl.col("recording") == folder.name) for folder in self.folders]
-        return [
-            ScoredRecording(folder, part, noise_of(folder, self.batches), self.batches if k in self.drawn else ())
-            for k, (folder, part) in enumerate(zip(self.folders, parts, strict=True))
-        ]
+        made = []
+        for k, folder in enumerate(self.folders):
+            own = (one.tracker for one in self.batches if any(part.folder is folder for part in one.trajectories))
+            rows = self.rows.filter(pl.col("recording") == folder.name)
+            try:
+                tracker = next(own, None)
+                nu = math.nan if tracker is None else student_t_dof_of(tracker)
+            except ValueError:
+                nu = math.nan
+            nu = None if nu is None else float(np.asarray(nu))
+            made.append(ScoredRecording(folder, rows, nu, self.batches if k in self.drawn else ()))
+        return made
 
-    @property
-    def drawn_words(self) -> str:
-        """The recordings with figures and why these, in a sentence; empty where all have figures."""
-        if self.bearing or len(self.folders) <= DRAWN:
-            return ""
-        chosen = {self.folders[k].name: why for k, why in self.drawn.items()}
-        if not any(chosen.values()):
-            first = f"The figures in files are of the first {len(chosen)} of {len(self.folders)} recordings"
-            return f"{first}: without truth, the worst and the best are unknown."
-        return f"The figures in files are of {', '.join(f'{name} ({why})' for name, why in chosen.items())}."
+
+def rmse_by(rows: pl.DataFrame, key: str) -> np.ndarray:
+    """The RMSE of each group of rows, horizontal in m or of the direction in rad; NaN without truth."""
+    name = main_size(rows).replace("size", "rmse")
+    return float_column(metrics(sums(rows, key, of=[name])), name)
 
 
 def root_mean_square(errors: np.ndarray) -> float:
@@ -251,30 +234,14 @@ def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth
     return ScoredTracks(rows, [folder], estimates.batches if isinstance(estimates, Tracks) else ())
 
 
-def noise_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> float | None:
-    """The degrees of freedom of the noise behind a recording's NIS, as `ScoredRecording` has them."""
-    own = (batch.tracker for batch in batches if any(one.folder is folder for one in batch.trajectories))
-    try:
-        nu = math.nan if (tracker := next(own, None)) is None else student_t_dof_of(tracker)
-    except ValueError:
-        return math.nan
-    return None if nu is None else float(np.asarray(nu))
-
-
 def drawn_of(rmse: np.ndarray, angles: bool, most: int = DRAWN) -> dict[int, str]:
     """The numbers of the recordings or tracks that are drawn, by their RMSE (n,) in m or, of directions, rad, and why.
 
     All of few; of more than `most` the worst, the median and the best, or the first where fewer than three have a RMSE.
     """
-    ranked = [int(k) for k in np.argsort(-np.nan_to_num(rmse, nan=-1.0), kind="stable") if np.isfinite(rmse[k])]
+    ranked = [k for k in np.argsort(-np.nan_to_num(rmse, nan=-1.0), kind="stable").tolist() if np.isfinite(rmse[k])]
     if len(rmse) <= most or len(ranked) < 3:
         return dict.fromkeys(range(min(len(rmse), most)), "")
     unit, scale = ("°", 180 / np.pi) if angles else length_unit(float(rmse[ranked[0]]))
     chosen = {"worst": ranked[0], "median": ranked[(len(ranked) - 1) // 2], "best": ranked[-1]}
     return {k: f"{word} of {len(ranked)}, RMSE {scale * rmse[k]:.3g} {unit}" for word, k in chosen.items()}
-
-
-def in_the_plane(angles: np.ndarray) -> np.ndarray:
-    """Directions (n, 2), rad, in the plane of a flat array as angles (n,), rad, from its x axis to its y axis."""
-    azimuth, elevation = angles.T
-    return np.arctan2(np.sin(elevation), np.sin(azimuth) * np.cos(elevation))

@@ -1,40 +1,33 @@
-"""An evaluation as a table for a terminal and as JSON."""
+"""An evaluation and pose errors as tables for a terminal, and as JSON."""
 
 from __future__ import annotations
 
-import heapq
 import math
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
-from rich.table import Table
 
 from trackwright.experiments.text.tables import compact_table, rendered, width_of
-from trackwright.experiments.text.wording import SCALES, Unit, fixed, length_unit, shown_metric
+from trackwright.experiments.text.wording import SCALES, SHOWN, Unit, fixed, length_unit, shown_metric
 from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics
 from trackwright.trackers.evaluation.metrics import METRICS, Metric
 from trackwright.trackers.recordings.atomic import json_text
 
-SHOWN_TRACKS = 10
-"""The most tracks listed per recording: the worst."""
+if TYPE_CHECKING:
+    from trackwright.trackers.exchange.estimates import ComparedTrack
+    from trackwright.trackers.exchange.pose_errors import Statistics, TrajectoryErrors
 
-LARGE = 1e4
-"""Values in a table from here on have no digits after the point."""
-
-SHOWN_RECORDINGS = 5
-"""Recordings of an archive that are listed: the worst."""
-
-Line = tuple[list[str], Metrics, str | None]
-"""A row of a table: its labels, its metrics and a style."""
-
+SHOWN_TRACKS, SHOWN_RECORDINGS = 10, 5
+"""The most tracks listed per recording, and recordings of an archive: the worst."""
 
 COLUMNS = tuple(metric for metric in METRICS.values() if metric.short)
 """The metrics with a column, in their order."""
 
-RANKS = (3, 2, 1, 0)
+_STATISTICS = ("rmse", "mean", "median", "std", "min", "max")
+
+Row = tuple[list[str], Metrics, str | None]
+"""A row of a table: its labels, its metrics and a style."""
 
 
 def to_json(evaluation: Evaluation) -> str:
@@ -44,69 +37,75 @@ def to_json(evaluation: Evaluation) -> str:
 
 def content(evaluation: Evaluation) -> dict[str, Any]:
     """What evaluation.json holds."""
-    return {
-        "kind": "bearing" if evaluation.bearing else "position",
-        "statements": evaluation.statements,
-        "overall": evaluation.overall,
-        "recordings": evaluation.recordings,
-        "tracks": evaluation.tracks,
+    kind = "bearing" if evaluation.bearing else "position"
+    return {"kind": kind} | {
+        name: getattr(evaluation, name) for name in ("statements", "overall", "recordings", "tracks")
     }
 
 
 def to_text(evaluation: Evaluation, width: int = 120) -> str:
     """The metrics as a table, what they mean, and the excluded rows; the main metrics where `width` holds no more.
 
-    Metrics that no line has are left out.
+    Metrics that no row has are left out.
     """
-    labels = ["recording", "tag", "station"] if evaluation.bearing else ["recording", "tag"]
-    notes = []
-    if max(Counter(track["recording"] for track in evaluation.tracks).values()) > SHOWN_TRACKS:
-        notes.append(f"At most {SHOWN_TRACKS} tracks per recording are listed, those with the largest p95.")
-    return _text(evaluation, labels, _lines(evaluation, labels), notes, width)
+    labels = ["recording", "tag", "station"][: 2 + evaluation.bearing]
+    blank, rows, notes = [""] * (len(labels) - 2), list[Row](), list[str]()
+    for recording in evaluation.recordings:
+        tracks = [track for track in evaluation.tracks if track["recording"] == recording["recording"]]
+        shown = _worst(evaluation, tracks, SHOWN_TRACKS) if len(tracks) > SHOWN_TRACKS else tracks
+        rows += [([track[label] for label in labels], track, None) for track in shown]
+        if len(tracks) > 1:
+            rows.append(([recording["recording"], f"all {len(tracks)}", *blank], recording, "bold"))
+        if len(tracks) > SHOWN_TRACKS:
+            notes = [f"At most {SHOWN_TRACKS} tracks per recording are listed, those with the largest p95."]
+    if len(evaluation.recordings) > 1:
+        rows.append((["overall", "", *blank], evaluation.overall, "bold"))
+    return _text(evaluation, labels, rows, notes, width)
 
 
 def archive_text(evaluation: Evaluation, width: int = 120) -> str:
     """As `to_text`, of any number of recordings: overall, the medians over recordings, and the worst recordings."""
     recordings = evaluation.recordings
-    worst = heapq.nlargest(SHOWN_RECORDINGS, recordings, key=partial(_p95, evaluation.bearing))
-    lines: list[Line] = [
+    worst = _worst(evaluation, recordings, SHOWN_RECORDINGS)
+    medians = pl.DataFrame(recordings, infer_schema_length=None).drop("recording").median().row(0, named=True)
+    rows: list[Row] = [
         (["overall"], evaluation.overall, "bold"),
-        ([f"median of {len(recordings)}"], _median(recordings), None),
+        ([f"median of {len(recordings)}"], medians | {"n": round(medians["n"])}, None),
         *(([metrics["recording"]], metrics, None) for metrics in worst),
     ]
     notes = [f"The {len(worst)} recordings with the largest p95 are listed."]
-    return _text(evaluation, ["recording"], lines, notes, width)
+    return _text(evaluation, ["recording"], rows, notes, width)
 
 
-def _text(evaluation: Evaluation, labels: Sequence[str], lines: Sequence[Line], notes: list[str], width: int) -> str:
-    shown = [c for c in COLUMNS if any(shown_metric(metrics, c.name) is not None for _, metrics, _ in lines)]
-    for rank in RANKS:
-        columns = [column for column in shown if column.rank <= rank]
-        table = _table(evaluation, columns, labels, lines)
+def _worst(evaluation: Evaluation, of: Sequence[Metrics], most: int) -> list[Metrics]:
+    """Those with the largest 95th percentile; those without truth come last."""
+    name = "p95_direction_rad" if evaluation.bearing else "p95_m"
+    return sorted(of, key=lambda metrics: -1.0 if metrics[name] is None else metrics[name], reverse=True)[:most]
+
+
+def _text(evaluation: Evaluation, labels: Sequence[str], rows: Sequence[Row], notes: list[str], width: int) -> str:
+    known = [c for c in COLUMNS if any(shown_metric(metrics, c.name) is not None for _, metrics, _ in rows)]
+    unit = SHOWN["rad"] if evaluation.bearing else length_unit(evaluation.overall["rmse_m"])
+    name = "degrees" if evaluation.bearing else unit.name
+    for rank in (3, 2, 1, 0):
+        columns = [column for column in known if column.rank <= rank]
+        spatial = " and 3-D" * any("3d" in column.name for column in columns)
+        what = "Bearing" if evaluation.bearing else f"Horizontal{spatial} position"
+        table = compact_table(f"{what} errors in {name}", labels, [title_of(column) for column in columns])
+        for words, metrics, style in rows:
+            table.add_row(*words, *cells(metrics, columns, unit), style=style)
         if width_of(table) <= width:
             break
     return rendered(width, table, *evaluation.statements, *notes, *_notes(evaluation, columns))
 
 
-def _table(evaluation: Evaluation, columns: Sequence[Metric], labels: Sequence[str], lines: Sequence[Line]) -> Table:
-    # Angles between directions, or lengths.
-    unit = Unit("degrees", 180 / math.pi) if evaluation.bearing else length_unit(evaluation.overall["rmse_m"])
-    spatial = " and 3-D" * any("3d" in column.name for column in columns)
-    what = "Bearing" if evaluation.bearing else f"Horizontal{spatial} position"
-    table = compact_table(f"{what} errors in {unit.name}", labels, [title_of(column) for column in columns])
-    for words, metrics, style in lines:
-        table.add_row(*words, *cells(metrics, columns, unit), style=style)
-    return table
-
-
 def cells(metrics: Metrics, columns: Sequence[Metric], unit: Unit) -> Iterator[str]:
-    """The metrics in columns, lengths in this unit; of large values no digits after the point, and groups of three."""
+    """The metrics in columns, lengths in this unit; of values from 10,000 no digits after the point, in groups."""
     for column in columns:
         value = shown_metric(metrics, column.name)
-        power = 2 if column.unit == "m²" else 1
-        factor, digits = SCALES.get(column.unit, (unit.factor**power, unit.digits))
+        factor, digits = SCALES.get(column.unit, (unit.factor ** (2 if column.unit == "m²" else 1), unit.digits))
         scaled = None if value is None else value * factor
-        yield f"{scaled:,.0f}" if scaled is not None and abs(scaled) >= LARGE else fixed(scaled, digits)
+        yield f"{scaled:,.0f}" if scaled is not None and abs(scaled) >= 1e4 else fixed(scaled, digits)
 
 
 def title_of(column: Metric) -> str:
@@ -114,50 +113,65 @@ def title_of(column: Metric) -> str:
     return f"{column.short}\ns" if column.unit == "s" else column.short
 
 
-def _lines(evaluation: Evaluation, labels: Sequence[str]) -> list[Line]:
-    """The table's rows of tracks, recordings and all."""
-    lines: list[Line] = []
-    for recording in evaluation.recordings:
-        tracks = worst = [track for track in evaluation.tracks if track["recording"] == recording["recording"]]
-        if len(tracks) > SHOWN_TRACKS:
-            worst = heapq.nlargest(SHOWN_TRACKS, tracks, key=partial(_p95, evaluation.bearing))
-        lines += [([track[label] for label in labels], track, None) for track in worst]
-        if len(tracks) > 1:
-            blank = [""] * (len(labels) - 2)
-            lines.append(([recording["recording"], f"all {len(tracks)}", *blank], recording, "bold"))
-    if len(evaluation.recordings) > 1:
-        lines.append((["overall", *[""] * (len(labels) - 1)], evaluation.overall, "bold"))
-    return lines
-
-
-def _median(recordings: Sequence[Metrics]) -> Metrics:
-    """The median of each metric over the recordings that have it."""
-    medians = pl.DataFrame(recordings, infer_schema_length=None).drop("recording").median().row(0, named=True)
-    return medians | {"n": round(medians["n"])}
-
-
-def _p95(bearing: bool, metrics: Metrics) -> float:
-    """The 95th percentile by which the worst come first; those without truth come last."""
-    p95 = metrics["p95_direction_rad" if bearing else "p95_m"]
-    return -1.0 if p95 is None else p95
-
-
-def _notes(evaluation: Evaluation, columns: Sequence[Metric]) -> list[str]:
-    overall, notes = evaluation.overall, []
+def _notes(evaluation: Evaluation, columns: Sequence[Metric]) -> Iterator[str]:
+    overall = evaluation.overall
     if any(overall[c.name] is not None for c in columns if c.name in ("nees_ratio", "nis_ratio")):
-        notes.append(
+        yield (
             "% in 95 %: share of rows whose 95 % ellipse holds the truth. NEES/dof: 1 if covariances are correct, "
             "above 1 if they are too small. Regret: nats of log density lost by their scale, 0.1 is little, 1 much. "
             "NIS/dof: 1 if readings scatter as the tracker predicts, below 1 if they scatter less."
         )
     if evaluation.bearing:
-        notes.append("angle: between the estimated and the true direction.")
+        yield "angle: between the estimated and the true direction."
     reasons = {
-        "n_no_estimate": "without an estimate",
-        "n_no_truth": "without truth at their time",
-        "n_hole": "in gaps of the truth",
+        "no_estimate": "without an estimate",
+        "no_truth": "without truth at their time",
+        "hole": "in gaps of the truth",
     }
-    n_excluded = [f"{overall[name]} {why}" for name, why in reasons.items() if overall[name]]
-    if n_excluded:
-        notes.append(f"Excluded of {overall['n_rows']} rows: {', '.join(n_excluded)}.")
-    return notes
+    excluded = [f"{overall[f'n_{name}']} {why}" for name, why in reasons.items() if overall[f"n_{name}"]]
+    if excluded:
+        yield f"Excluded of {overall['n_rows']} rows: {', '.join(excluded)}."
+
+
+def pose_errors_text(compared: Sequence[ComparedTrack], align: str, width: int, fitted_offset: bool = False) -> str:
+    """The errors of each track, a row for each kind of error, and what was done to the estimates before.
+
+    `fitted_offset`: whether the time offset is the one that fits best.
+    """
+    worst = sorted(compared, key=lambda track: -track.errors.ape_m["rmse"])[:SHOWN_TRACKS]
+    unit = length_unit(worst[0].errors.ape_m["rmse"])
+    table = compact_table("Absolute and relative pose errors", ["tag", "error"], ["unit", "n", *_STATISTICS])
+    for track in worst:
+        for label, name, factor, of in _rows(track.errors, unit.name, unit.factor):
+            digits = unit.digits + 1 if name == unit.name else 3
+            table.add_row(track.tag, label, name, str(of["n"]), *(fixed(of[k] * factor, digits) for k in _STATISTICS))
+    errors = [track.errors for track in compared]
+    offsets, scales = sorted({round(e.time_offset, 4) for e in errors}), [e.similarity.scale for e in errors]
+    offset = " to ".join(f"{x:.12g}" for x in dict.fromkeys((offsets[0], offsets[-1])))
+    scale = " to ".join(dict.fromkeys((f"{min(scales):.6g}", f"{max(scales):.6g}")))
+    scale = "" if scale == "1" else f", scale {scale}"
+    biases = [e.speed_mps["bias"] for e in errors if e.speed_mps is not None]
+    notes = {
+        f"As evo: {sum(e.pairs for e in errors)} of {sum(e.possible for e in errors)} poses have a true pose within "
+        f"{errors[0].tolerance:g} s; time offset {offset} s; alignment {align}{scale}.": True,
+        "The errors in the first table are of all rows, at the time of each, by the truth interpolated there.": True,
+        "The fitted time offset holds the delay of a filter, too; only a smoothed track (`track --smooth`) shows the "
+        "clocks' alone.": fitted_offset,
+        "APE and RPE are horizontal: a height is unknown.": any(e.planar for e in errors),
+        f"Speed: horizontal, over 0.5 s; mean error {sum(biases) / max(len(biases), 1):+.4f} m/s.": bool(biases),
+        f"At most {SHOWN_TRACKS} tracks are listed, those with the largest APE.": len(compared) > SHOWN_TRACKS,
+    }
+    return rendered(width, table, *(note for note, holds in notes.items() if holds))
+
+
+def _rows(errors: TrajectoryErrors, unit: str, factor: float) -> Iterator[tuple[str, str, float, Statistics]]:
+    """Of each error: its name, its unit, the factor to it, and its statistics."""
+    yield "APE", unit, factor, errors.ape_m
+    if errors.ape_rad is not None:
+        yield "APE, angle", "deg", 180 / math.pi, errors.ape_rad
+    for step, statistics in errors.rpe_m.items():
+        yield f"RPE {step}", unit, factor, statistics
+        if step in errors.rpe_rad:
+            yield f"RPE {step}, angle", "deg", 180 / math.pi, errors.rpe_rad[step]
+    if errors.speed_mps is not None:
+        yield "speed", "m/s", 1.0, errors.speed_mps

@@ -118,13 +118,14 @@ def headline(numbers: Iterable[tuple[str, bool | None]], conclusions: Iterable[t
     `numbers`: origin, and whether the number is reached, None where it is not judged. `conclusions`: origin, and
     whether they hold.
     """
-    judged, stated = [n for n in numbers if n[1] is not None or n[0] == Origin.DERIVED], list(conclusions)
-    sentences = []
+    judged, stated, sentences = (
+        [n for n in numbers if n[1] is not None or n[0] == Origin.DERIVED],
+        list(conclusions),
+        [],
+    )
     for origin in reversed(Origin):
-        ours = [bool(reached) for o, reached in judged if o == origin]
-        held = [holds for o, holds in stated if o == origin]
-        parts = [counted(len(ours), "number")] if ours else []
-        parts += [counted(len(held), "conclusion")] if held else []
+        ours, held = ([bool(true) for of, true in claims if of == origin] for claims in (judged, stated))
+        parts = [counted(len(ours), "number")] * bool(ours) + [counted(len(held), "conclusion")] * bool(held)
         if origin is Origin.DERIVED:
             sentences += [f"Derived, not counted: {', '.join(parts)}."] if parts else []
             continue

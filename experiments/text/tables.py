@@ -79,12 +79,9 @@ def compact_table(title: str, labels: Sequence[str], numbers: Sequence[str]) -> 
     return table
 
 
-def aligned(rows: Sequence[Sequence[str]], numbers: Iterable[int] = ()) -> str:
-    """Rows as lines with two spaces between columns, without a frame; columns `numbers` are aligned right."""
-    right = set(numbers)
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Rows as lines with two spaces between columns, without a frame."""
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), pad_edge=False)
-    for k in range(len(rows[0])):
-        table.add_column(justify="right" if k in right else "left", no_wrap=True)
     for row in rows:
         table.add_row(*row)
     return rendered(UNLIMITED, table).rstrip("\n")
@@ -113,8 +110,7 @@ def require_page(page: Path) -> None:
 
 def width_of(table: Table) -> int:
     """Characters a line of the table without wrapping."""
-    console = Console(width=UNLIMITED, markup=False, emoji=False)
-    return console.measure(table).maximum
+    return Console(width=UNLIMITED, markup=False, emoji=False).measure(table).maximum
 
 
 def rendered(width: int, *parts: RenderableType) -> str:

@@ -19,8 +19,9 @@ STUDIES = {
 }
 """The metrics of a study that are no metrics of scores."""
 
-SUFFIXES = {**ERROR_KINDS, "m": "", "rad": "", "m2": "", "s": ""}
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SUFFIXES = {**ERROR_KINDS, "m": "", "rad": "", "m2": "", "s": "", "share": ""}
+ENDINGS = {"_share": "%", "_rad": "rad", "_m2": "m²", "_m": "m", "_s": "s", "us_per_row": "µs"}
+"""Units of a study's own metrics and numbers of other tables, by the ends of their names."""
 
 
 class Unit(NamedTuple):
@@ -35,13 +36,11 @@ class Unit(NamedTuple):
         return {"m": 3, "cm": 1}.get(self.name, 2)
 
 
-NO_UNIT = Unit("", 1.0)
-SHOWN = {"%": Unit("%", 100.0), "rad": Unit("°", float(np.rad2deg(1.0))), "m²": Unit("cm²", 1e4), "rows": NO_UNIT}
+NO_UNIT, DEGREES = Unit("", 1.0), Unit("°", 180 / math.pi)
+SHOWN = {"%": Unit("%", 100.0), "rad": DEGREES, "m²": Unit("cm²", 1e4), "rows": NO_UNIT}
 """The units in which metrics are shown, by those in which they are stored."""
 
-
-SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0), "nats": (1.0, 2),
-          "rad": (SHOWN["rad"].factor, 2)}  # fmt: skip
+SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0), "nats": (1.0, 2), "rad": (DEGREES.factor, 2)}
 """Factor and digits in tables of metrics that are no lengths, by the units in which they are stored."""
 
 
@@ -64,18 +63,11 @@ def length_unit(size: float) -> Unit:
 def unit_of(metric: str, values: Iterable[float]) -> Unit:
     """The customary unit of a metric of this name and these sizes."""
     known = [abs(v) for v in values if math.isfinite(v)]
-    unit = METRICS[metric].unit if metric in METRICS else _unit_by_name(metric)
+    by_name = next((unit for ending, unit in ENDINGS.items() if metric.endswith(ending)), "")
+    unit = METRICS[metric].unit if metric in METRICS else by_name
     if unit == "m":
         return length_unit(float(np.median(known)) if known else math.nan)
     return SHOWN.get(unit, Unit(unit, 1.0))
-
-
-def _unit_by_name(metric: str) -> str:
-    """The unit in which a study's own metric, or the number of another table, is stored."""
-    if metric == "us_per_row":
-        return "µs"
-    endings = {"share": "%", "rad": "rad", "m2": "m²", "m": "m", "s": "s"}
-    return next((unit for ending, unit in endings.items() if metric.endswith(f"_{ending}")), "")
 
 
 def units_of(values: Mapping[str, Sequence[float]]) -> dict[str, Unit]:
@@ -87,33 +79,20 @@ def units_of(values: Mapping[str, Sequence[float]]) -> dict[str, Unit]:
 
 def heading(metric: str, unit: Unit = NO_UNIT, space: str = " ") -> str:
     """A metric's name in words, with the unit where it has one."""
-    return _name(metric) + (f",{space}{unit.name}" if unit.name else "")
-
-
-def _name(metric: str) -> str:
-    if metric in METRICS:
-        return METRICS[metric].words
-    if metric in STUDIES:
-        return STUDIES[metric]
-    for ending, words in SUFFIXES.items():
-        if metric.endswith(f"_{ending}"):
-            return f"{_spaced(metric[: -len(ending) - 1])} {words}".strip()
-    return _spaced(metric.removesuffix("_share"))
-
-
-def _spaced(name: str) -> str:
-    return " ".join("RMSE" if word == "rmse" else word for word in name.split("_"))
+    ending = next((ending for ending in SUFFIXES if metric.endswith(f"_{ending}")), "")
+    stem = metric.removesuffix(f"_{ending}").split("_")
+    own = " ".join("RMSE" if word == "rmse" else word for word in stem) + f" {SUFFIXES.get(ending, '')}"
+    words = METRICS[metric].words if metric in METRICS else STUDIES.get(metric, own.strip())
+    return words + (f",{space}{unit.name}" if unit.name else "")
 
 
 def number(value: float) -> str:
     """Four significant digits with a true minus sign; a dash for NaN and infinities."""
     if not math.isfinite(value):
         return MISSING
-    text = f"{value:.4g}"
-    if "e" in text:
-        mantissa, exponent = text.split("e")
-        text = f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPTS)}"
-    return text.replace("-", "−")
+    mantissa, _, exponent = f"{value:.4g}".partition("e")
+    powers = str(int(exponent or 0)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return mantissa.replace("-", "−") + (f"·10{powers}" if exponent else "")
 
 
 def fixed(value: float | None, digits: int) -> str:
@@ -128,8 +107,7 @@ def rounded(value: float, spread: float) -> str:
     if value == 0:
         return "0"
     size = spread / 2 if math.isfinite(spread) and spread > 0 else abs(value) / 10
-    digits = min(max(1 - math.floor(math.log10(size) + 0.5), 0), 6)
-    return f"{value:.{digits}f}"
+    return f"{value:.{min(max(1 - math.floor(math.log10(size) + 0.5), 0), 6)}f}"
 
 
 def percent_change(before: float, after: float) -> str:
@@ -137,8 +115,7 @@ def percent_change(before: float, after: float) -> str:
     if not (math.isfinite(before) and math.isfinite(after) and before > 0):
         return ""
     change = 100 * (after / before - 1)
-    digits = 0 if abs(change) >= 10 else 1
-    return f"{change:+.{digits}f} %".replace("-", "−")
+    return f"{change:+.{0 if abs(change) >= 10 else 1}f} %".replace("-", "−")
 
 
 def duration(seconds: float) -> str:

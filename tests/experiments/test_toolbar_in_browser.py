@@ -12,9 +12,8 @@ from tests.experiments.pages.reports.test_track_page import NO_EVENTS
 from tests.experiments.pages.reports.tuning_report_data import report_data
 from tests.tuning.calibration_worlds import world
 from trackwright.experiments.monte_carlo.runner import run_study
-from trackwright.experiments.pages.charts.comparison import comparison_charts
-from trackwright.experiments.pages.reports.calibration import calibration_charts, report_on, write_calibration_report
-from trackwright.experiments.pages.reports.comparison import write_comparison
+from trackwright.experiments.pages.reports.calibration import report_on, write_calibration_report
+from trackwright.experiments.pages.reports.comparison import comparison_charts, write_comparison
 from trackwright.experiments.pages.reports.pages import write_page
 from trackwright.experiments.pages.reports.study import study_page
 from trackwright.experiments.pages.reports.track import run_data, write_track_page
@@ -59,15 +58,14 @@ def _study(folder):
 
 def _comparison(folder):
     runs = [small_run("uwb", {"a": 0.2}), small_run("median", {"a": 0.5})]
-    return write_comparison(folder / "comparison.html", ["uwb", "median"], [], comparison_charts(runs, []), ["report"])
+    return write_comparison(folder / "comparison.html", ["uwb", "median"], [], comparison_charts(runs), ["report"])
 
 
 def _calibration(folder):
     folders = world(5, 1, seconds=30.0)[1]
     calibration = calibrate(folders)
     out, report = folder / "calibration.toml", report_on(calibration, folders)
-    charts = calibration_charts(calibration, report)
-    return write_calibration_report(out, calibration, report, charts, ["calibrate"])
+    return write_calibration_report(out, calibration, report, ["calibrate"])
 
 
 @pytest.mark.parametrize(
@@ -91,4 +89,5 @@ def test_no_chart_of_any_page_can_be_uploaded_and_a_phone_has_no_toolbar(page_of
             assert found["links"] == []
             assert not [one for one in found["words"] if UPLOADS.search(one)]
             assert (found["visible"] > 0) == (width > 600)
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
             assert not errors

@@ -9,11 +9,7 @@ from functools import cached_property, wraps
 from typing import Any, Literal, NamedTuple, ParamSpec
 from unittest import SkipTest
 
-from trackwright.trackers.core.errors import one_line, require
-from trackwright.trackers.core.model.motion import AbstractMotion
-from trackwright.trackers.core.model.sensor import AbstractSensor
-from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.kinds import Kind
+from trackwright.trackers.core.errors import one_line
 
 P = ParamSpec("P")
 
@@ -37,47 +33,42 @@ class Result(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """One check of a contract; it runs once. Called, it raises what it found: `BrokenContract`, or SkipTest.
+    """One check of a contract, which runs once, after another has passed; called, it raises what it found."""
 
-    `test`: returns what a passed check measured, in words, or None. `after`: the check that has to pass before.
-    """
-
-    name: str
     test: Callable[[], str | None]
     after: Check | None = None
 
+    def __str__(self) -> str:
+        return self.test.__name__.strip("_").replace("_", " ")
+
     @cached_property
-    def _found(self) -> tuple[str, Exception | None, float]:
-        started, words, error = time.process_time(), None, None
+    def found(self) -> tuple[Result, Exception | None]:
+        """What it measured, and the fault or the reason to skip."""
+        started, sentence, error = time.process_time(), "", None
         try:
-            if self.after is not None and self.after.result.outcome != "pass":
-                raise NotApplicable(f"needs '{self.after.name}', which does not pass")
-            if not __debug__:
-                raise NotApplicable("python -O leaves asserts out; run it without")
-            words = self.test()
+            if not __debug__ or (self.after and self.after.result.outcome != "pass"):
+                raise NotApplicable(f"needs '{self.after}', and python without -O, which leaves asserts out")
+            sentence = self.test() or ""
         except Exception as raised:
             error = BrokenContract(one_line(raised)) if isinstance(raised, AssertionError) else raised
-        return words or "", error, time.process_time() - started
+            kind = "" if isinstance(error, (ValueError, SkipTest)) else f"{type(error).__name__}: "
+            sentence = one_line(f"{kind}{error}")
+        outcome: Any = "pass" if error is None else "skip" if isinstance(error, SkipTest) else "fail"
+        return Result(f"{self}", outcome, sentence, time.process_time() - started), error
 
     @property
     def result(self) -> Result:
         """What the check found."""
-        words, error, seconds = self._found
-        outcome: Any = "pass" if error is None else "skip" if isinstance(error, SkipTest) else "fail"
-        kind = "" if error is None or isinstance(error, (ValueError, SkipTest)) else f"{type(error).__name__}: "
-        return Result(self.name, outcome, words if error is None else one_line(f"{kind}{error}"), seconds)
+        return self.found[0]
 
     def __call__(self) -> None:
-        if self._found[1] is not None:
-            raise self._found[1]
-
-    def __str__(self) -> str:
-        return self.name
+        if self.found[1] is not None:
+            raise self.found[1]
 
 
 def check(after: Check | None = None) -> Callable[[Callable[[], str | None]], Check]:
     """Makes a check of a function, with the check's name."""
-    return lambda test: Check(test.__name__.strip("_").replace("_", " "), test, after)
+    return lambda test: Check(test, after)
 
 
 class Report(tuple[Result, ...]):
@@ -97,23 +88,4 @@ class Report(tuple[Result, ...]):
 
 def reported(checks: Callable[P, list[Check]]) -> Callable[P, Report]:
     """A function of the same arguments that runs all checks."""
-
     return wraps(checks)(lambda *given, **named: Report(one.result for one in checks(*given, **named)))
-
-
-CHECKED: dict[str, Any] = {
-    "check_motion": AbstractMotion,
-    "check_sensor": AbstractSensor,
-    "check_tracker": AbstractTracker,
-    "check_kind": Kind,
-    "check_importer": Callable,
-}
-"""The check functions, and what each is for."""
-
-
-def require_part(function: str, given: Any) -> None:
-    """Raises UnusableInput unless the object is one that this check function is for, with the function that is."""
-    wanted, of_class = CHECKED[function], isinstance(given, type)
-    fix = "an object of the class" if of_class else "".join(n for n, one in CHECKED.items() if isinstance(given, one))
-    words = f"an object of {wanted.__name__}" + f"; usual fix: {fix}" * bool(fix)
-    require(isinstance(given, wanted) and not of_class, function, given.__name__ if of_class else given, words)

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.conformance import contract
-from trackwright.trackers.conformance.contract import BrokenContract, NotApplicable, check, require_part
+from trackwright.trackers.conformance.contract import BrokenContract, NotApplicable, check
+from trackwright.trackers.core.errors import require
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.model.algebra import Scalar, Vector, densify
 from trackwright.trackers.core.model.covariance import Gaussian, matrix
-from trackwright.trackers.core.model.inputs import Inputs, Need
+from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.linearise import linearise
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Residual
@@ -37,13 +38,13 @@ def motion_checks(
     randomness in `w`; values and derivatives are finite; a filter predicts the covariance of difference
     quotients, also where there are `stages`. Raises UnusableInput for an object of another kind.
     """
-    require_part("check_motion", motion)
+    require(isinstance(motion, AbstractMotion), "check_motion", motion, "an object of AbstractMotion")
     what, q, rng = f"{type(motion).__name__}.step", motion.noise_dimension, np.random.default_rng(seed)
     draws = np.concatenate([np.zeros((1, q)), rng.normal(size=(2, q))])  # filters linearise at zero
     single, here = freeze(_arrays(motion)), _arrays(state)
     point, rebuild = coordinates(here)
     names, n = [*component_names(here), *(f"w.{k}" for k in range(q))], len(point)
-    given = cache(lambda: _known(what, motion, 0, here, inputs))
+    given = cache(lambda: GivenInputs(_arrays(dict(inputs or {})), what))
 
     def step(interval: Any, w: Any) -> State:
         return single.step(here, given(), interval, Vector.of(w))
@@ -93,7 +94,7 @@ def motion_checks(
     @jax.enable_x64(True)
     def derivatives() -> str:
         single, here, interval = freeze(_arrays(motion)), _arrays(state), jnp.asarray(dt)
-        known, factor = _known(what, motion, 0, here, inputs), np.random.default_rng(0).normal(size=(n, n))
+        known, factor = GivenInputs(_arrays(dict(inputs or {})), what), np.random.default_rng(0).normal(size=(n, n))
         P = (0.1 * factor + 0.3 * np.eye(n)) @ (0.1 * factor + 0.3 * np.eye(n)).T
         belief = Gaussian(here, tuple(jnp.asarray(x) for x in P[np.triu_indices(n)]))
         held = single.at(belief)
@@ -127,7 +128,7 @@ def sensor_checks(
     density of the residual. `reported`: the noise columns of one reading. Raises UnusableInput for an object of
     another kind.
     """
-    require_part("check_sensor", sensor)
+    require(isinstance(sensor, AbstractSensor), "check_sensor", sensor, "an object of AbstractSensor")
     at, m, everything = _At(sensor, view, inputs, reported), len(sensor.channels), np.ones(len(sensor.channels), bool)
     what, names = f"{type(sensor).__name__}.residual", [channel.name for channel in sensor.channels]
 
@@ -210,7 +211,7 @@ class _At:
         self.single, self.view, self.noise = freeze(_arrays(sensor)), _arrays(view), jnp.asarray(reported, float)
         self.what, self.names = f"{type(sensor).__name__}.measure", [channel.name for channel in sensor.channels]
         self.point, self.rebuild = coordinates(self.view)
-        self.known = cache(lambda: _known(self.what, sensor, len(self.names), self.view, inputs))
+        self.known = cache(lambda: GivenInputs(_arrays(dict(inputs or {})), self.what))
         self.predicted, self.slopes = cache(self._predicted), jax.jit(self._slopes)
         self.jitted = jax.jit(lambda values, seen: self.whitened(self.view, values, seen))
         self.densities = jax.jit(jax.vmap(lambda z, seen: self.jitted(z, seen).log_density, (0, None)))
@@ -267,24 +268,10 @@ def _told(what: str, role: str, given: Any) -> Iterator[None]:
         has = "a vector; expected components by number" if isinstance(error.obj, Vector) else f"the {role}, {given}"
         raise BrokenContract(f"{what} reads '{error.name}' of {has}") from None
     except MissingInputError as missing:
-        found = f"{missing.reader} reads the input '{missing.name}', which is neither declared nor given"
-        raise BrokenContract(f"{found}; expected it in `inputs`") from None
+        found = f"{missing.reader} reads the input '{missing.name}', which is not given"
+        raise BrokenContract(f"{found}; expected it in `inputs`, of the part and of this check") from None
     except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
         raise BrokenContract(f"{what} cannot be traced; usual fix: jnp.where for if, jnp for numpy") from error
-
-
-def _known(what: str, part: Any, channels: int, view: Any, inputs: Inputs | None) -> GivenInputs:
-    """The inputs as arrays, those that the part declares in its shapes."""
-    there, planar = GivenInputs(_arrays(dict(inputs or {})), what), len(getattr(view, "position", ())) == 2
-    for one in part.inputs:
-        name, shape = one.name, one.row_shape(channels)
-        needed = one.need is Need.ALWAYS or (one.need is Need.PLANAR and planar)
-        found = f"shape {np.shape(there[name])}" if name in there else ", ".join(there) or "no input"
-        assert np.shape(there[name]) == shape if name in there else not needed, (
-            f"{what} reads the input '{name}', found {found}; expected {name}, shape {shape}, {one.unit or '1'}: "
-            f"{one.about}; usual fix: inputs={{'{name}': …}}"
-        )
-    return there
 
 
 def _finite(what: str, values: Any, names: Sequence[str]) -> None:

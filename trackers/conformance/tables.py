@@ -12,8 +12,8 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.conformance import contract
-from trackwright.trackers.conformance.contract import BrokenContract, NotApplicable, check, require_part
-from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.conformance.contract import BrokenContract, NotApplicable, check
+from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.exchange.imported import import_frames
 from trackwright.trackers.recordings.checks.all_checks import check as check_recording
@@ -30,7 +30,7 @@ def kind_checks(kind: Kind, rig: Rig, seed: int = 0) -> list[contract.Check]:
     same where a site is moved as a whole, since recordings in map coordinates are tracked about one nearby. Raises
     UnusableInput for an object of another kind.
     """
-    require_part("check_kind", kind)
+    require(isinstance(kind, Kind), "check_kind", kind, "an object of Kind")
     rng, ids, there = np.random.default_rng(seed), list(kind.places(rig)), list(kind.places(rig).values())
     antennas = max((len(s.antennas) for s in rig.stations.values() if s.antennas is not None), default=1)
     n_columns = antennas if kind.numbered else len(kind.columns)
@@ -92,7 +92,7 @@ def importer_checks(
     early the rows are the first rows of the whole, or it is refused by UnusableInput, as an empty one is. Raises
     UnusableInput for an object of another kind.
     """
-    require_part("check_importer", importer)
+    require(callable(importer), "check_importer", importer, "a function from a path to tables")
     source, name = Path(path), getattr(importer, "__name__", type(importer).__name__)
 
     def recording_of(frames: Any) -> RecordingFolder:

@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.conformance import contract
-from trackwright.trackers.conformance.contract import BrokenContract, NotApplicable, check, require_part
+from trackwright.trackers.conformance.contract import BrokenContract, NotApplicable, check
 from trackwright.trackers.conformance.worlds import compare_errors, drawn_world, own_recordings
 from trackwright.trackers.core.data.estimates import Estimates, Status
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
+from trackwright.trackers.core.errors import require
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.tunable import replaced, tunables
 from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, batch_estimates, called
@@ -43,7 +44,7 @@ def tracker_checks(
     `scan`; derivatives are difference quotients; covariances are consistent with the errors in a world drawn from its
     own model. Raises UnusableInput for an object of another kind, and where recordings are needed and missing.
     """
-    require_part("check_tracker", tracker)
+    require(isinstance(tracker, AbstractTracker), "check_tracker", tracker, "an object of AbstractTracker")
     given = own_recordings(tracker, FEWEST, seed) if recordings is None else list(recordings)
     varied = _varied(given)
     numbers = range(len(varied))

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import NamedTuple
 
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.exchange.dates import CLOCK, DAYS, ORDERS, moments_of
+from trackwright.trackers.core.errors import UnusableInput, listed, near
 from trackwright.trackers.recordings.table_file import TableFile, first_row, remedy
+
+CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}  # times of day; days, counted to the begin of 1970
 
 # fmt: off
 UNITS: dict[str, dict[str, float]] = {
@@ -22,7 +21,7 @@ UNITS: dict[str, dict[str, float]] = {
     },
     "s": {
         "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0,
-        **dict.fromkeys([*ORDERS, CLOCK], 1.0), **dict.fromkeys(DAYS, 86400.0),
+        **dict.fromkeys(DAYS, 86400.0), **dict.fromkeys(("iso", "dd/mm/yyyy", CLOCK), 1.0),
     },
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295},
     "mps": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 0.2777777777777778},
@@ -30,108 +29,87 @@ UNITS: dict[str, dict[str, float]] = {
     "mps2": {"m/s^2": 1.0, "cm/s^2": 1e-2, "mm/s^2": 1e-3, "g": 9.80665, "mg": 9.80665e-3},
 }
 # fmt: on
-"""By the ending of a column's name: units and their factors to it. `iso`, `dd/mm/yyyy` …: dates in this order.
+"""By the ending of a column's name, units and their factors; a length in a unit of time is light's way in that time."""
 
-`hh:mm:ss`: times of day; `matlab`, `excel`: days. A length in a unit of time is the way of light in that time."""
-
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_TERM = re.compile(
-    rf"(?P<source>`[^`]*`|.+?)\s*(?:(?P<times>[*/])\s*(?P<factor>{_NUMBER}))?\s*"
-    rf"(?:(?P<sign>[-+])\s*(?P<shift>{_NUMBER.removeprefix('[-+]?')}))?"
-)
-_IN_UNIT = re.compile(r"(?P<body>.+?)(?:\s+in\s+(?P<unit>\S+))?")
-_PLUS = re.compile(r"(?<![0-9.][eE])\s*\+\s*(?=[^\d\s.])")
+_DATE = re.compile(r"iso|hh:mm:ss|(?:yyyy|mmm?|dd)([-/.])(?:yyyy|mmm?|dd)\1(?:yyyy|mmm?|dd)")
+_FIELD = r"(?<![\w.])[^\W\d]\w*(?:\[\d*\])*(?:\.\w+(?:\[\d*\])*)*(?![\w.\[]|\s*\()"
 _TARGET = re.compile(r"(?P<name>[\w{}]+)(?:\[(?P<sensor>[^\]]+)\])?")
+_FORM = "TARGET=COLUMN, COLUMN in UNIT, COLUMN*NUMBER+NUMBER, A+B*1e-9, sqrt(COLUMN) or 'TEXT'"
 
 
-class Term(NamedTuple):
-    """A column or field `source`, or its `root`, times `factor` plus `shift`."""
+class Expression(NamedTuple):
+    """For `target`, the text `constant`, or arithmetic in SQL on the columns `sources`, there c0, c1 …, in a `unit`."""
 
-    source: str
-    factor: float = 1.0
-    shift: float = 0.0
-    root: bool = False
-
-
-@dataclass(frozen=True)
-class Expression:
-    """The sum of `terms`, less `days`, times `scale`, or the text `constant`, as written in `text`.
-
-    `date`: the order of a date whose parts the terms are, or CLOCK.
-    """
-
+    target: str
     text: str
-    terms: tuple[Term, ...] = ()
-    scale: float = 1.0
-    days: float = 0.0
-    date: str = ""
+    sources: tuple[str, ...] = ()
+    sql: str = "c0"
+    unit: str = ""
     constant: str | None = None
 
-    @property
-    def sources(self) -> list[str]:
-        """The columns, or fields of messages, that it names."""
-        return [term.source for term in self.terms]
+    def numbers(self, file: TableFile) -> pl.Series:
+        """Its numbers in the rows of a file, null where empty; raises UnusableInput with the row of a text."""
+        if not self.sources:
+            raise UnusableInput(f"{self.target}={self.text}: names no column; expected {_FORM}")
+        if _DATE.fullmatch(self.unit) and file.frame[self.sources[0]].dtype not in (pl.Datetime, pl.Date):
+            return _moments(file, self.date_texts(file), " + ".join(self.sources), self.unit)
+        total = (frame := pl.DataFrame({f"c{k}": numbers_of(file, s) for k, s in enumerate(self.sources)}))["c0"]
+        if self.sql != "c0":
+            try:
+                total = frame.with_columns(x=pl.sql_expr(self.sql).cast(pl.Float64))["x"]
+                lost = frame.select(pl.all_horizontal(pl.all().is_finite()) & pl.lit(~total.is_finite())).to_series()
+            except pl.exceptions.PolarsError as error:
+                why = str(error).splitlines()[0]
+                raise UnusableInput(f"{self.target}={self.text}: cannot be read ({why}); expected {_FORM}") from error
+            if lost.any():
+                where = file.location(first_row(lost.fill_null(False)), " + ".join(self.sources))
+                raise UnusableInput(f"{where}: no number comes of {self.target}={self.text}; expected one in each row")
+        total = total - DAYS[self.unit] if self.unit in DAYS else total
+        scale = UNITS.get(self.target.rpartition("_")[2], {}).get(self.unit, 1.0)
+        return total if scale == 1.0 else total * scale
 
-    def terms_in(self, file: TableFile, target: str) -> tuple[Term, ...]:
-        """Its terms with columns of a file; the whole text goes first, as a name may hold signs.
-
-        Raises UnusableInput for a column that is not there.
-        """
-        columns = file.frame.columns
-        if self.text.strip("`") in columns:
-            return (Term(self.text.strip("`")),)
-        terms = [term._replace(source=term.source.lstrip("#%/ ")) if term.source not in columns else term
-                 for term in self.terms]  # fmt: skip
-        for term, asked in zip(terms, self.sources, strict=True):
-            if term.source not in columns:
-                near = get_close_matches(asked, columns, 1, 0.5)
-                found = f"expected {near[0]!r}?" if near else f"found {listed(map(repr, columns), 12)}"
-                raise UnusableInput(f"{file.path}: {target}={self.text}: no column {asked!r}; {found}")
-        return tuple(terms)
-
-    def dates(self, file: TableFile, target: str) -> pl.Series:
-        """The texts or dates of its column, or of several joined by blanks."""
-        names = [term.source for term in self.terms_in(file, target)]
-        if len(names) == 1:
-            return file.frame[names[0]]
-        texts = pl.col(names).cast(pl.String).str.strip_chars()
+    def date_texts(self, file: TableFile) -> pl.Series:
+        """The texts of its columns without blanks, of several joined by blanks."""
+        texts = pl.col(self.sources).cast(pl.String).str.strip_chars()
         return file.frame.select(pl.concat_str(texts, separator=" ")).to_series()
 
-    def values(self, file: TableFile, target: str) -> pl.Series:
-        """Its numbers in the rows of a file, null where empty; raises UnusableInput with the row of a text."""
-        if self.constant is not None:
-            raise UnusableInput(f"{target}={self.text}: a text; expected a column of numbers")
-        terms = self.terms_in(file, target)
-        parts = terms
-        if self.date or file.frame[terms[0].source].dtype in (pl.Datetime, pl.Date):
-            place = " + ".join(term.source for term in terms)
-            columns, parts = [moments_of(file, self.dates(file, target), place, self.date)], terms[:1]
-        else:
-            columns = [numbers_of(file, term.source) for term in terms]
-        if terms[0].source == self.text.strip("`"):
-            return columns[0]
-        numbers = [_scaled(file, term, column) for term, column in zip(parts, columns, strict=True)]
-        total = sum(numbers[1:], numbers[0])
-        total = total - self.days if self.days else total
-        return total if self.scale == 1 else total * self.scale
-
-    def ids(self, file: TableFile, target: str) -> pl.Series:
+    def ids(self, file: TableFile) -> pl.Series:
         """Its texts in the rows of a file; raises UnusableInput for a column of other values."""
         if self.constant is not None:
             return pl.repeat(self.constant, len(file.frame), dtype=pl.String, eager=True)
-        column = file.frame[self.terms_in(file, target)[0].source]
-        if not (column.dtype.is_integer() or column.dtype in (pl.String, pl.Categorical, pl.Enum)):
-            wrong = f"{target} from a column of type {column.dtype}; expected text or whole numbers"
-            raise UnusableInput(f"{file.path}: {wrong}")
+        column = file.frame[self.sources[0]]
+        if self.sql != "c0" or not (column.dtype.is_integer() or column.dtype in (pl.String, pl.Categorical, pl.Enum)):
+            found = f"{self.target}={self.text} of type {column.dtype}"
+            raise UnusableInput(f"{file.path}: {found}; expected a column of text or whole numbers")
         return texts_of(column)
 
 
-def _scaled(file: TableFile, term: Term, numbers: pl.Series) -> pl.Series:
-    if term.root:
-        if (negative := (numbers < 0).fill_null(False)).any():
-            raise UnusableInput(f"{file.location(first_row(negative), term.source)}: a negative number under the root")
-        numbers = numbers.sqrt()
-    return numbers if (term.factor, term.shift) == (1, 0) else numbers * term.factor + term.shift
+def parsed(target: str, text: str, file: TableFile | None = None) -> Expression:
+    """The expression of a target on the columns of a file, or on whatever fields it names; or UnusableInput."""
+    text, name, known = text.strip(), target.partition("[")[0], [] if file is None else file.frame.columns
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
+        return Expression(name, text, constant=text[1:-1])
+    if (whole := text.strip("`")) in known:
+        return Expression(name, text, (whole,))
+    body, unit = re.findall(r"(?s)^(.*?)(?:\s+in\s+(\S+))?$", text)[0]
+    unit, units = unit.lower() if {"Y", ":"} & {*unit} else unit, UNITS.get(name.rpartition("_")[2], {})
+    sources: dict[str, str] = {}
+    if unit and unit not in units and not ("iso" in units and _DATE.fullmatch(unit)):
+        fitting = ", ".join(units) or "none: it has no unit"
+        raise UnusableInput(f"{target}: unit {unit!r} does not fit {name}; expected one of {fitting}")
+
+    def column(match: re.Match[str]) -> str:
+        source = match[1] or match[0]
+        if file is not None and source not in known:
+            found = near(source, known) or f"; found {listed(map(repr, known), 12)}"
+            raise UnusableInput(f"{file.path}: {target}={text}: no column {source!r}{found}")
+        return sources.setdefault(source, f"c{len(sources)}")
+
+    # Names of columns may hold blanks and signs; the longest goes first, and one that looks like a number needs ``.
+    names = "|".join(re.escape(n) for n in sorted(known, key=len, reverse=True) if not re.fullmatch(r"[\d.]*", n))
+    token = rf"`([^`]+)`|(?<![\w.])(?:{names or '(?!)'})(?![\w.\[])|{_FIELD}"
+    sql = re.sub(token, column, body if body in known else body.lstrip("#%/ "))
+    return Expression(name, text, tuple(sources), sql, unit)
 
 
 def texts_of(column: pl.Series) -> pl.Series:
@@ -141,8 +119,10 @@ def texts_of(column: pl.Series) -> pl.Series:
 
 
 def numbers_of(file: TableFile, column: str) -> pl.Series:
-    """The column as Float64, null where empty or NaN; raises UnusableInput with the row of a text."""
+    """The column as Float64, null where empty or NaN, times as s since 1970; raises UnusableInput at a text."""
     cells = file.frame[column]
+    if cells.dtype in (pl.Datetime, pl.Date):
+        return _since_1970(cells)
     if cells.dtype != pl.String:
         if not (cells.dtype.is_numeric() or cells.dtype in (pl.Null, pl.Boolean)):
             raise UnusableInput(f"{file.path}: column {column} has type {cells.dtype}; expected numbers")
@@ -150,8 +130,8 @@ def numbers_of(file: TableFile, column: str) -> pl.Series:
     text = points = cells.str.strip_chars()
     if file.thousands:
         mark, point = re.escape(file.thousands), re.escape(file.decimal)
-        grouped = text.str.contains(rf"^[-+]?\d{{1,3}}(?:{mark}\d{{3}})+(?:{point}\d*)?$")
-        points = text.str.replace_all(file.thousands, "", literal=True).zip_with(grouped.fill_null(False), text)
+        grouped = text.str.contains(rf"^[-+]?\d{{1,3}}(?:{mark}\d{{3}})+(?:{point}\d*)?$").fill_null(False)
+        points = text.str.replace_all(file.thousands, "", literal=True).zip_with(grouped, text)
     if file.decimal == ",":
         # A point, as it groups thousands, is then no part of a number.
         points = points.str.replace(".", "x", literal=True).str.replace(",", ".", literal=True)
@@ -163,61 +143,51 @@ def numbers_of(file: TableFile, column: str) -> pl.Series:
     return numbers.fill_nan(None)
 
 
-def parsed(target: str, text: str) -> Expression:
-    """The expression for a target: `COLUMN`, `COLUMN*0.001+5`, `COLUMN in mm`, `A+B*1e-9`, `sqrt(COLUMN)` or `'T1'`.
-
-    A number is scaled before it is shifted; the unit applies to both. Raises UnusableInput.
-    """
-    text, name = text.strip(), target.partition("[")[0]
-    if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
-        return Expression(text, constant=text[1:-1])
-    whole = _IN_UNIT.fullmatch(text)
-    if whole is None:
-        expected = "COLUMN, COLUMN*NUMBER+NUMBER, COLUMN in UNIT or 'TEXT'"
-        raise UnusableInput(f"{target}={text!r}: cannot be read; expected {expected}")
-    scales, unit = UNITS.get(name.rpartition("_")[2], {}), whole["unit"] or ""
-    unit = unit.lower() if {"Y", ":"} & {*unit} else unit
-    if unit and unit not in scales:
-        fitting = ", ".join(scales) or "none: it has no unit"
-        raise UnusableInput(f"{target}: unit {unit!r} does not fit {name}; expected one of {fitting}")
-    date, scale = ORDERS.get(unit, unit if unit == CLOCK else ""), scales.get(unit, 1.0)
-    parts = re.split(r"\s*\+\s*", whole["body"]) if date else _PLUS.split(whole["body"])
-    terms = tuple(_term(target, text, part) for part in parts)
-    if len(terms) == 1 and unit not in DAYS:
-        # Multiplied with the unit at once, a number is rounded once.
-        term = terms[0]
-        terms, scale = (term._replace(factor=term.factor * scale, shift=term.shift * scale),), 1.0
-    return Expression(text, terms, scale, DAYS.get(unit, 0.0), date)
+def order_in(texts: pl.Series, order: str) -> str:
+    """The order of the dates in a column: dotted ones, unknown to ISO, are day, month, year everywhere."""
+    dotted = re.match(r"\d{1,2}\.\d{1,2}\.\d{4}\b", next(filter(None, texts), ""))
+    return order if order != "iso" else "dd.mm.yyyy" if dotted else "yyyy-mm-dd"
 
 
-def _term(target: str, text: str, part: str) -> Term:
-    match = _TERM.fullmatch(part)
-    if match is None:
-        raise UnusableInput(f"{target}={text!r}: a sum with nothing in it; expected a column on both sides of +")
-    factor, source = float(match["factor"] or 1.0), match["source"].strip()
-    if match["times"] == "/":
-        if factor == 0:
-            raise UnusableInput(f"{target}={text}: a division by zero")
-        factor = 1.0 / factor
-    shift = float(match["shift"] or 0.0) * (-1.0 if match["sign"] == "-" else 1.0)
-    root = source.startswith("sqrt(") and source.endswith(")")
-    return Term((source[5:-1].strip() if root else source).strip("`"), factor, shift, root)
+def _moments(file: TableFile, texts: pl.Series, column: str, order: str) -> pl.Series:
+    """Times of day, which go on after midnight, or dates, all as the first, as s since 1970, UTC without a zone."""
+    full, order = (texts != "").fill_null(False), order_in(texts, order)
+    first = next(iter(texts.filter(full)), "")
+    if order == CLOCK:
+        parts = texts.str.replace(",", ".").str.extract_groups(r"^(\d\d?):(\d\d)(?::(\d\d(?:\.\d*)?))?$")
+        h, m, s = (part.cast(pl.Float64) for part in parts.struct.unnest())
+        found = h * 3600 + m * 60 + s.fill_null(0.0)
+        found += 86400.0 * (found.forward_fill().diff() < -43200.0).fill_null(False).cum_sum()
+    else:
+        form = order.replace("yyyy", "%Y").replace("mmm", "%b").replace("mm", "%m").replace("dd", "%d")
+        time = re.search(r"\d[T ]+\d\d?:\d\d(:\d\d(?:[.,]\d*)?)?\s*(Z|[-+]\d\d:?(?:\d\d)?)?$", first)
+        form += " %H:%M" + ":%S%.f" * bool(time[1]) + "%#z" * bool(time[2]) if time else ""
+        plain = texts.str.replace(r"(\d)[T ]+(\d)", "$1 $2").str.replace(",", ".").str.replace(r"\s*Z$", "+00:00")
+        plain = plain.str.replace(r"\s+([-+]\d)", "$1")
+        found = _since_1970(plain.str.to_datetime(form, time_unit="ns", strict=False))
+    if (wrong := full & found.is_null()).any():
+        row = first_row(wrong)
+        alike = f"as {first!r}, a time zone in all rows or none" if row != first_row(full) else "no order is guessed"
+        mark = "/" if "/" in texts[row] else "-"
+        fix = f"name it, as 't_s={column} in mm{mark}dd{mark}yyyy' or 't_s={column} in dd-mmm-yyyy'"
+        raise UnusableInput(f"{file.location(row, column)}: {texts[row]!r}; expected {order}, {alike}: {fix}")
+    return found
+
+
+def _since_1970(moments: pl.Series) -> pl.Series:
+    """Seconds, of which only the sum of the whole ones and the fraction is rounded."""
+    whole = moments.dt.epoch("ns")
+    return (whole // 1_000_000_000).cast(pl.Float64) + (whole % 1_000_000_000).cast(pl.Float64) / 1e9
 
 
 def columns_of(entries: Sequence[str]) -> dict[str, str]:
     """The expressions of entries TARGET=EXPRESSION, by target; raises UnusableInput."""
-    expressions: dict[str, str] = {}
-    for entry in entries:
-        target, sign, text = (part.strip() for part in entry.partition("="))
-        if not sign or not text or _TARGET.fullmatch(target) is None:
-            raise UnusableInput(
-                f"--columns {entry!r}: expected TARGET=EXPRESSION, such as 'range_m=distance_mm*0.001' or "
-                "'range_m=distance in mm'"
-            )
-        if target in expressions:
-            raise UnusableInput(f"--columns {entry!r}: {target} is given twice; expected it once")
-        expressions[target] = text
-    return expressions
+    pairs = [[part.strip() for part in entry.split("=", 1)] for entry in entries]
+    for entry, (target, *text) in zip(entries, pairs, strict=True):
+        twice = f"{target} is given twice; " * ([other for other, *_ in pairs].count(target) > 1)
+        if not any(text) or not _TARGET.fullmatch(target) or twice:
+            raise UnusableInput(f"--columns {entry!r}: {twice}expected {_FORM}")
+    return dict(pairs)
 
 
 def sensor_of(target: str) -> tuple[str, str | None]:

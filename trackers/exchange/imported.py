@@ -6,6 +6,7 @@ import math
 import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib import import_module
@@ -19,15 +20,15 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.user_file import fault_of, from_file, split_name
-from trackwright.trackers.exchange.expressions import UNITS, Expression, columns_of, parsed
+from trackwright.trackers.exchange.expressions import UNITS, columns_of, parsed
 from trackwright.trackers.exchange.formats import FORMATS, has_tables
 from trackwright.trackers.exchange.mapping import ORIGIN, Asked, MappingFile, Source, TableMapping
-from trackwright.trackers.exchange.source_rows import Reading, read_rows
+from trackwright.trackers.exchange.text_tables import Reading, read_rows
 from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
-from trackwright.trackers.recordings.kinds import KINDS, first_time
+from trackwright.trackers.recordings.kinds import first_time
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
-from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile
+from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, first_row
 from trackwright.trackers.recordings.tables import unwrapped_times
 
 
@@ -36,18 +37,8 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
     if not has_tables(name) and not asked.mappings and name != "ros":
         raise UnusableInput(f"{path}: no table given; expected --table, or a file of mappings: --mapping FILE.toml")
     if name in FORMATS:
-        source: Source = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}").read_source(
-            path, name, asked
-        )
-        return source
-    return _by_file(path, name, *asked.mappings)
-
-
-def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
-    """The tables that a user's function gives of a source: pandas or polars frames by table, with their columns."""
-    if mapping.columns:
-        wrong = f"{listed(mapping.columns)}: a file of this format has its columns; leave --columns out"
-        raise UnusableInput(f"{path}: {wrong}")
+        module = import_module(f"trackwright.trackers.exchange.{FORMATS[name].module}")
+        return module.read_source(path, name, asked)  # type: ignore[no-any-return]
     function: Callable[[Path], Any] = from_file(name, "format", "function", lambda x: isinstance(x, FunctionType))
     try:
         frames = function(path)
@@ -58,19 +49,21 @@ def _by_file(path: Path, name: str, mapping: TableMapping) -> Source:
         raise UnusableInput(f"{path}: {name} fails ({fault}); correct either") from error
     if not isinstance(frames, Mapping) or not frames:
         raise UnusableInput(f"{name}: gave {type(frames).__name__} of {path}; expected tables by name, one at least")
-    try:
-        return _of_frames(frames, {}, mapping.tag, lambda table: path)
-    except UnusableInput as problem:
-        raise UnusableInput(f"{name}: {str(problem).partition('; add --columns')[0]}") from problem
+    (mapping,) = asked.mappings
+    return _of_frames(frames, dict.fromkeys(frames, mapping.columns), mapping.tag, f"{name}: ")
 
 
 def _of_frames(
-    frames: Mapping[str, Any], columns: Mapping[str, Sequence[str]], tag: str | None, name: Callable[[str], Path]
+    frames: Mapping[str, Any], columns: Mapping[str, Mapping[str, str]], tag: str | None, where: str
 ) -> Source:
     source = Source()
     for table, frame in frames.items():
-        mapping = TableMapping(table=table, columns=columns_of(columns.get(table, ())), tag=tag)
-        source.read(TableFile(name(table), _polars(frame, table)), mapping)
+        try:
+            mapping = TableMapping(table=table, columns=columns.get(table, {}), tag=tag)
+            file = TableFile(Path(f"{where}{table}"), _polars(frame, table))
+        except UnusableInput as problem:
+            raise UnusableInput(f"{where}{problem}") from None
+        source.read(file, mapping)
     return source
 
 
@@ -93,24 +86,12 @@ def import_frames(
     require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
     fits = columns is None or isinstance(columns, Mapping)
     require(fits, "import_frames: columns", columns, "expressions by table, as {'ranges': ['range_m=distance in mm']}")
-    try:
-        source = _of_frames(frames, columns or {}, tag, lambda table: Path(f"frame {table}"))
-    except UnusableInput as problem:
-        raise UnusableInput(_in_python(str(problem))) from None
-    tables = source.tables
-    if origin is not None:
-        tables = since(tables, origin_of(str(origin), tables))
+    source = _of_frames(frames, {table: columns_of(e) for table, e in (columns or {}).items()}, tag, "frame ")
+    tables = source.tables if origin is None else since(source.tables, origin_of(str(origin), source.tables))
     folder = assembled(name, read_rig(Path(rig))[0] if isinstance(rig, (str, Path)) else rig, tables)
     with tempfile.TemporaryDirectory() as scratch:
         read = _written(folder, Path(scratch) / "recording", source)
     return replace(read, path=None, notices=(*source.notices, *read.notices))
-
-
-def _in_python(message: str) -> str:
-    """The message with arguments of `import_frames` in place of the command line's options."""
-    table = message.removeprefix("frame ").partition(":")[0]
-    message = re.sub(r"--columns ('[^']*')", rf"columns={{'{table}': [\1]}}", message)
-    return message.replace("--tag ID", "tag='ID'").replace("--tag ", "tag=").replace("--columns", "columns=")
 
 
 def _polars(frame: Any, table: str) -> pl.DataFrame:
@@ -123,8 +104,7 @@ def _polars(frame: Any, table: str) -> pl.DataFrame:
     columns = {}
     for name, column in frame.items():
         values = column.to_numpy()
-        if values.dtype.kind == "M":
-            values = values.astype("datetime64[ns]")
+        values = values.astype("datetime64[ns]") if values.dtype.kind == "M" else values
         if values.dtype == object:
             values = [None if lost else value for lost, value in zip(column.isna(), values, strict=True)]
         columns[str(name)] = pl.Series(values)
@@ -138,16 +118,14 @@ def assembled(
     anchors: Mapping[str, Sequence[float]] | None = None,
     preset: MappingFile | None = None,
 ) -> RecordingFolder:
-    """The recording of tables, with a rig or the anchors that a log names; raises UnusableInput for unknown sensors.
-
-    Ranges to a rig that is given without anchors are for a survey. `name`: of the recording, by default the rig's.
-    `preset`: has the places of tags on their body and the tags of each; the rig gets them for tags in the tables.
-    """
-    to_survey = "ranges" if rig is not None and not rig.anchors and not anchors else None
+    """The recording of tables, with a rig, or the anchors of a log, and the bodies of a preset; or UnusableInput."""
+    if rig is None and not anchors and "ranges" in tables:
+        fix = "give a rig.toml or a table of them by --rig (in Python: rig=), a rig.toml without anchors for a survey"
+        raise UnusableInput(f"ranges: no positions of anchors; {fix}")
     rig, preset = rig or Rig(name or "imported"), preset or MappingFile()
     there = {tag for table in tables.values() for tag in table["tag"].unique()}
-    tags = {tag: Tag(offset=np.array(place)) for tag, place in preset.offsets.items() if tag in there}
-    carried = {body: tuple(t for t in names if t in there) for body, names in preset.carried.items()}
+    tags = {tag: Tag(offset=np.array(one["offset_m"])) for tag, one in preset.tags.items() if one and tag in there}
+    carried = {body: tuple(t for t in one.get("tags", ()) if t in there) for body, one in preset.bodies.items()}
     rig = replace(
         rig,
         name=name or rig.name,
@@ -155,72 +133,50 @@ def assembled(
         tags=tags | dict(rig.tags),
         bodies={body: names for body, names in carried.items() if len(names) > 1} | dict(rig.bodies),
     )
-    for table, kind in KINDS.items():
-        known = kind.places(rig)
-        for column in kind.sensors if table in tables and table != to_survey else ():
-            ids = tables[table][column].unique(maintain_order=True).to_list()
-            if unknown := [sensor for sensor in ids if sensor not in known]:
-                raise UnusableInput(
-                    f"{table}: {column} {listed(map(repr, unknown))} without a position; the rig has "
-                    f"{listed(known) or 'none'}; give a rig.toml with [{kind.noun}s] by --rig (in Python: rig=)"
-                    + ("" if known or table != "ranges" else ", or without, for trackwright survey to find them")
-                )
     return RecordingFolder(rig.name, None, rig, dict(tables))
 
 
 def save(folder: RecordingFolder, out: Path, source: Source, replaced: bool = False) -> RecordingFolder:
-    """Writes the recording, or adds its tables to the recording in `out`; returns it as read back, with new notices.
+    """Writes the recording, or adds its tables to that in `out`; returns it as read back, with new notices.
 
-    Nothing is written of one that cannot be read; a table that is there is replaced where that is asked for alone. Rows
-    are checked in the order of the source and written by time. Raises UnusableInput.
+    Rows are checked in the order of the source and written by time; nothing is written of what is refused.
     """
     there = _read(out) if (out / RIG_FILE).is_file() else None
-    if there is None and out.exists() and not (out.is_dir() and not any(out.iterdir())):
+    if there is None and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UnusableInput(f"--out {out}: exists; expected a new folder, or a recording to add tables to")
-    known = {} if there is None else there.tables
+    known = {} if there is None else dict(there.tables)
     if not replaced and (twice := [name for name in folder.tables if name in known]):
         raise UnusableInput(f"--out {out}: has the table {twice[0]} already; expected another; --replace replaces it")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with beside(out, Path.mkdir) as scratch:
-            new = scratch / "recording"
-            read = _written(replace(folder, tables=dict(known) | dict(folder.tables)), new, source)
-            if there is None:
-                if out.exists():
-                    out.rmdir()
-                new.rename(out)
-                return replace(read, path=out)
+            read = _written(replace(folder, tables=known | dict(folder.tables)), scratch / "recording", source)
+            out.mkdir(exist_ok=True)
             for name in folder.tables:
                 for suffix in SUFFIXES:
                     (out / f"{name}{suffix}").unlink(missing_ok=True)
-                (new / f"{name}.parquet").replace(out / f"{name}.parquet")
-            if rig_text(folder.rig) != rig_text(there.rig):
-                (new / RIG_FILE).replace(out / RIG_FILE)
+            same = there is not None and rig_text(folder.rig) == rig_text(there.rig)
+            for file in (*(f"{name}.parquet" for name in folder.tables), *([] if same else [RIG_FILE])):
+                (scratch / "recording" / file).replace(out / file)
     except OSError as error:
         raise UnusableInput(f"--out {out}: cannot be written ({error.strerror}); check its permissions") from error
-    return replace(read, path=out, notices=tuple(x for x in read.notices if x not in there.notices))
-
-
-_REFUSED = re.compile(r"imported (\w+)\.parquet(?:: row (\d+), column (\w+))?")
+    before = () if there is None else there.notices
+    return replace(read, path=out, notices=tuple(line for line in read.notices if line not in before))
 
 
 def _written(folder: RecordingFolder, path: Path, source: Source) -> RecordingFolder:
-    """The recording after it was written to `path` and read back, its tables then in the order of time.
-
-    A refusal names the place in the source.
-    """
+    """The recording, written to `path` and read back; a refusal names the place in the source."""
     tables = {name: table.drop(ORIGIN, strict=False) for name, table in folder.tables.items()}
     write_recording(replace(folder, tables=tables), path)
 
     def original(match: re.Match[str]) -> str:
-        row = match[2] and match[1] in source.tables and source.location(match[1], int(match[2]) - 1, match[3])
-        return row or match[0].replace(".parquet", "")
+        return source.location(match[1], int(match[2]) - 1, match[3]) if match[1] in source.tables else match[0]
 
     try:
         read = _read(path)
     except UnusableInput as problem:
-        text = str(problem).replace(f"{path}/", "imported ").replace(str(path), "imported")
-        raise UnusableInput(_REFUSED.sub(original, text)) from problem
+        cell = rf"{re.escape(str(path))}/(\w+)\.parquet: row (\d+), column (\w+)"
+        raise UnusableInput(re.sub(cell, original, str(problem)).replace(str(path), "imported")) from problem
     for name, table in tables.items():
         if not table["t_s"].is_sorted():
             _by_time(table).write_parquet(path / f"{name}.parquet")
@@ -240,11 +196,7 @@ def _read(path: Path) -> RecordingFolder:
 def read_geometry(
     path: Path | None, out: Path, preset: MappingFile, reading: Reading
 ) -> tuple[Rig | None, dict[str, tuple[float, ...]], list[str]]:
-    """The rig of the recording in `out`, or where it is empty, of `path`, or the positions, m, there, and notices.
-
-    `path`: a rig.toml, a file of the makers, which the pattern of the `preset` reads, or a table of anchors. Tags of
-    the empty rig are kept. Raises UnusableInput.
-    """
+    """The rig in `out`, or where that is empty, by `path`, or the positions, m, of anchors in `path`; and notices."""
     there = read_rig(out / RIG_FILE)[0] if (out / RIG_FILE).is_file() else None
     if path is None:
         return there, {}, []
@@ -259,54 +211,38 @@ def read_geometry(
 
 
 def _read_anchors(path: Path, reading: Reading) -> tuple[dict[str, tuple[float, ...]], list[str]]:
-    """The positions, m, of anchors in a table with their ids and columns x, y, z, and notices; raises UnusableInput.
-
-    The columns may be `X`, `x_mm`, `x [mm]`, `X (m)`; ids are in the column `anchor` or `id`, or the only other one.
-    """
+    """The positions, m, of anchors in a table with ids and columns as `X`, `x_mm`, `x [mm]`, `X (m)`; and notices."""
     file, notices = read_rows(path, reading)
-    axes, others = dict[str, Expression](), list[str]()
-    for name in file.frame.columns:
-        match = re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", name.strip().lower())
-        if match and (match[2] or "m") in UNITS["m"] and match[1] not in axes:
-            axes[match[1]] = parsed("x_m", f"`{name}` in {match[2] or 'm'}")
-        else:
-            others.append(name)
-    ids = [n for n in others if n.lower() in ("anchor", "anchor_id", "id", "name")] or others
+    matches = {n: re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", n.strip().lower()) for n in file.frame.columns}
+    axes = {m[1]: f"`{n}` in {m[2] or 'm'}" for n, m in matches.items() if m and (m[2] or "m") in UNITS["m"]}
+    others = [name for name, match in matches.items() if not match]
+    ids = [name for name in others if name.lower() in ("anchor", "anchor_id", "id", "name")] or others
     if {*axes} != {*"xyz"} or not ids or (len(ids) > 1 and ids == others):
-        found = listed(map(repr, file.frame.columns), 12)
-        expected = "anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
+        found, expected = listed(map(repr, matches), 12), "anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
         raise UnusableInput(f"--rig {path}: columns {found}; expected {expected}")
-    columns, anchors = [axes[axis].values(file, axis).to_list() for axis in "xyz"], dict[str, tuple[float, ...]]()
-    names = file.frame[ids[0]].cast(pl.String).str.strip_chars()
-    for row, (anchor, *place) in enumerate(zip(names, *columns, strict=True)):
-        if not anchor or None in place or anchor in anchors:
-            where = f"--rig {file.location(row, ids[0])}"
-            raise UnusableInput(f"{where}: {anchor!r} at {place}; expected each id once, with x, y, z")
-        anchors[anchor] = tuple(place)
-    units = ", ".join(axes[axis].sources[0] for axis in "xyz")
-    return anchors, [f"{path}: {line}" for line in (*notices, f"ids are in column {ids[0]}, positions in {units}")]
+    places = [parsed("x_m", axes[axis], file).numbers(file).alias(axis) for axis in "xyz"]
+    rows = pl.DataFrame([file.frame[ids[0]].cast(pl.String).str.strip_chars().alias("id"), *places])
+    wrong = rows.select(
+        (pl.col("id") == "") | ~pl.col("id").is_first_distinct() | pl.any_horizontal(pl.all().is_null())
+    )
+    if wrong.to_series().any():
+        row = first_row(wrong.to_series())
+        raise UnusableInput(f"--rig {file.location(row, ids[0])}: {rows.row(row)}; expected each id once, with x, y, z")
+    units = f"ids are in column {ids[0]}, positions in {', '.join(axes[axis] for axis in 'xyz')}"
+    return {key: tuple(place) for key, *place in rows.rows()}, [f"{path}: {line}" for line in (*notices, units)]
 
 
 def origin_of(text: str, tables: Mapping[str, pl.DataFrame]) -> float:
-    """The origin, s on the clock of the source: `start`, the earliest measurement, a number, or a date.
-
-    `start` is the earliest row where the tables have no measurements. A date without a time zone is UTC. Raises
-    UnusableInput for another text.
-    """
+    """The origin, s: a number, a date, UTC without a time zone, or `start`, the earliest measurement or row."""
     if text == "start":
         return first_time({name: _by_time(table) for name, table in tables.items()})
-    try:
-        seconds = float(text)
-    except ValueError:
-        try:
-            date = datetime.fromisoformat(text)
-        except ValueError:
-            seconds = math.nan
-        else:
-            seconds = (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
-    if not math.isfinite(seconds):
-        raise UnusableInput(f"--origin {text}: expected start, seconds, or a date such as 2026-05-01T12:00:00.25")
-    return seconds
+    with suppress(ValueError):
+        if math.isfinite(seconds := float(text)):
+            return seconds
+    with suppress(ValueError):
+        date = datetime.fromisoformat(text)
+        return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+    raise UnusableInput(f"--origin {text}: expected start, seconds, or a date such as 2026-05-01T12:00:00.25")
 
 
 def since(tables: Mapping[str, pl.DataFrame], origin: float) -> dict[str, pl.DataFrame]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import ClassVar, Literal, NamedTuple
 
@@ -16,33 +16,22 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed, near
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.exchange.dates import order_in
-from trackwright.trackers.exchange.expressions import Expression, Term, parsed, sensor_of, texts_of
-from trackwright.trackers.exchange.source_rows import Reading, read_json, read_rows
+from trackwright.trackers.exchange.expressions import Expression, order_in, parsed, sensor_of, texts_of
+from trackwright.trackers.exchange.text_tables import Reading, read_json, read_rows
 from trackwright.trackers.recordings.input_file import file_bytes, read_model
 from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
-from trackwright.trackers.recordings.table_file import TableFile, first_row
+from trackwright.trackers.recordings.table_file import TableFile
 
-PRESETS = {path.stem: path for path in (Path(__file__).parent / "presets").glob("*.toml")}
+PRESETS = {path.stem: path for path in (Path(__file__).parent / "presets").glob("[!_]*.toml")}
 """The presets by name; the head of each says what it reads, the units and frames, and where anchors come from."""
 
-ORIGIN = "_origin"
-"""The column of a table while it is imported: the number of its part times 2⁴⁰, and of the row there."""
-
+ORIGIN = "_origin"  # column of a table while it is imported: the number of its part times 2⁴⁰, and of the row there
 _HOLE = re.compile(r"\{(\w+)\}")
-_UNIT_IN_NAME = re.compile(r"[\W_](mm|cm|ms|us|ns|deg|km|ft)$|[\[(](mm|cm|ms|us|ns|deg|km|ft)[\])]$", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableMapping(Reading):
-    """The columns of a table from a source's, and how a source that is text is read.
-
-    `columns`: by target, or by target and sensor as `range_m[A1]`, an expression; a column of the source that has the
-    name of a target needs none; `{a}` in both stands for all that names of the source have there. `topic`: of a bag.
-    `tag`: the id of all rows, where no column has it. `file`: of a folder; `{a}` in it may stand in `tag`. `where`: by
-    column, the values of the rows that are read. `anchors`: x_m, y_m, z_m of each row's anchor. `body`: whether the
-    rows are poses of a body, which are moved to the `offsets` of its tags, (3,) m. Raises UnusableInput.
-    """
+    """A table of a source, in the keys of docs/import.md; `offsets`: of tags, m, on a body whose poses are read."""
 
     table: str
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -55,72 +44,38 @@ class TableMapping(Reading):
     offsets: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.table not in table_kinds():
             raise UnusableInput(f"table {self.table!r}; expected one of {', '.join(table_kinds())}")
-        if self.anchors and (set(self.anchors) != {"x_m", "y_m", "z_m"} or "anchor" not in self.columns):
-            found = f"anchors with {listed(self.anchors)}, columns with {listed(self.columns) or 'none'}"
-            raise UnusableInput(f"{found}; expected x_m, y_m and z_m beside a column of anchor")
-        _ = self.expressions, self.places
+        if self.anchors and ({*self.anchors} != {"x_m", "y_m", "z_m"} or "anchor" not in self.columns):
+            raise UnusableInput(f"anchors with {listed(self.anchors)}; expected x_m, y_m, z_m beside a column anchor")
+        _ = self.sources
 
     @cached_property
-    def expressions(self) -> dict[str, Expression]:
-        """The expressions of the columns, by target."""
-        return {target: parsed(target, text) for target, text in self.columns.items()}
-
-    @cached_property
-    def places(self) -> dict[str, Expression]:
-        """The expressions of the coordinates of anchors."""
-        return {target: parsed(target, text) for target, text in self.anchors.items()}
-
-    @property
     def sources(self) -> set[str]:
         """The columns, or fields of messages, of the source that are asked for."""
-        expressions = (*self.expressions.values(), *self.places.values())
+        expressions = (parsed(*item) for item in (*self.columns.items(), *self.anchors.items()))
         return {source for e in expressions for source in e.sources} | set(self.where)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MappingFile:
-    """A file of mappings; those with a topic are for bags, the others for other files.
-
-    `anchors`: the pattern of an anchor in a text file of positions, with the groups anchor, x, y, z, m. `tags`,
-    `bodies`: as in a rig.
-    """
+    """A file of mappings for bags, with a topic, and other files; `anchors`: the pattern of one in the makers' file."""
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}
 
     tables: list[TableMapping] = field(default_factory=list)
-    anchors: str | None = None
+    anchors: re.Pattern[str] | None = None
     tags: Mapping[str, Mapping[Literal["offset_m"], tuple[float, float, float]]] = field(default_factory=dict)
     bodies: Mapping[str, Mapping[Literal["tags"], Sequence[str]]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        try:
-            groups = {*re.compile(self.anchors or "").groupindex}
-        except re.error as error:
-            raise UnusableInput(f"anchors = {self.anchors!r}: is no pattern ({error})") from error
-        if self.anchors is not None and groups != {"anchor", *"xyz"}:
-            raise UnusableInput(f"anchors = {self.anchors!r}; expected a pattern with groups anchor, x, y, z")
-
-    @property
-    def offsets(self) -> dict[str, tuple[float, float, float]]:
-        """The place of each tag on its body, m."""
-        return {tag: place["offset_m"] for tag, place in self.tags.items() if place}
-
-    @property
-    def carried(self) -> dict[str, Sequence[str]]:
-        """The tags of each body."""
-        return {body: one["tags"] for body, one in self.bodies.items() if one}
 
     def positions(self, path: Path) -> dict[str, tuple[float, ...]]:
         """The positions of anchors, m, in a text file of the makers; raises UnusableInput."""
         anchors: dict[str, tuple[float, ...]] = {}
         try:
-            for match in re.finditer(str(self.anchors), file_bytes(path).decode("utf-8")):
+            for match in self.anchors.finditer(file_bytes(path).decode("utf-8")) if self.anchors else ():
                 put(anchors, f"--rig {path}", match["anchor"], tuple(float(match[axis]) for axis in "xyz"))
-        except (OSError, ValueError) as error:
-            raise UnusableInput(f"--rig {path}: cannot be read ({error}); expected positions of anchors") from error
+        except (OSError, ValueError, IndexError) as error:
+            raise UnusableInput(f"--rig {path}: {error}; expected anchors, a pattern anchor, x, y, z") from error
         if not anchors:
             raise UnusableInput(f"--rig {path}: no anchor in it; expected the makers' file, or a rig.toml")
         return anchors
@@ -132,15 +87,12 @@ def read_mapping(path: Path) -> MappingFile:
     content = read_model(PRESETS.get(str(path), path), MappingFile, expected)
     if not content.tables:
         raise UnusableInput(f"{path}: no tables; expected {expected}")
-    return replace(content, tables=[replace(t, offsets=content.offsets if t.body else {}) for t in content.tables])
+    offsets = {tag: place["offset_m"] for tag, place in content.tags.items() if place}
+    return replace(content, tables=[replace(t, offsets=offsets if t.body else {}) for t in content.tables])
 
 
 class Asked(NamedTuple):
-    """What is asked of a source: `mappings`, one for each table; of a log its tag alone.
-
-    `interval`: s between the lines of a log without times. `skip`: whether lines of a log that are not understood are
-    left out. `definitions`: .msg files of the types that a bag does not define.
-    """
+    """What is asked of a source: tables, s between lines without times, bad lines left out, .msg files for a bag."""
 
     mappings: Sequence[TableMapping] = ()
     interval: float | None = None
@@ -151,73 +103,80 @@ class Asked(NamedTuple):
 def put(anchors: dict[str, tuple[float, ...]], where: str, anchor: str, place: tuple[float, ...]) -> None:
     """Adds the position, m, of an anchor, read `where`; raises UnusableInput for one that moves."""
     if anchors.setdefault(anchor, place) != place:
-        raise UnusableInput(
-            f"{where}: anchor {anchor} at {place}, before at {anchors[anchor]}; expected anchors that stay; "
-            "cut the log where it was moved, or keep one of the set-ups"
-        )
+        fix = "expected anchors that stay; cut the log where it was moved, or keep one of the set-ups"
+        raise UnusableInput(f"{where}: anchor {anchor} at {place}, before at {anchors[anchor]}; {fix}")
 
 
 @dataclass
 class Source:
-    """Tables by name, notices on how they were read, and the positions of anchors, m, if the source has them.
-
-    `parts`: by table, the columns of each file with their names there; the column ORIGIN of a table has part and row.
-    """
+    """Tables by name, notices, positions of anchors, m, and the `parts` of files that the rows' ORIGIN names."""
 
     tables: dict[str, pl.DataFrame] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
     anchors: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    parts: dict[str, list[tuple[TableFile, dict[str, str]]]] = field(default_factory=dict)
+    parts: list[tuple[TableFile, dict[str, str]]] = field(default_factory=list)
 
     def read(self, file: TableFile, mapping: TableMapping) -> None:
-        """Adds the table that a mapping makes of the columns of a file, and its anchors; raises UnusableInput.
-
-        A target without an expression is taken from the column of the same name. Rows without any value are left out.
-        """
-        whole = file
-        file, mapping, notices = _rows_asked(file, mapping)
-        parts = self.parts.setdefault(mapping.table, [])
-        table = pl.concat(_parts(file, mapping, parts))
-        wanted = layout(mapping.table, table.columns)
+        """Adds the table that a mapping makes of the columns of a file, and its anchors; raises UnusableInput."""
+        mapping, whole, notices, name = spelled_out(mapping, file.frame.columns), file, list[str](), mapping.table
+        expressions = {target: parsed(target, text, file) for target, text in mapping.columns.items()}
+        places = [parsed(*item, file) for item in mapping.anchors.items()]
+        named = {source for e in (*expressions.values(), *places) for source in e.sources} | {*mapping.where}
+        by_sensor: dict[str | None, dict[str, Expression]] = {None: {}}
+        for target, e in expressions.items():
+            by_sensor.setdefault(sensor_of(target)[1], {})[e.target] = e
+            if e.unit == "iso" and (order := order_in(e.date_texts(file), "iso")) != "yyyy-mm-dd":
+                notices.append(f"column {' + '.join(e.sources)}: dates are read as {order}")
+        if not (asked := _asked(file, mapping, named)).all():
+            why = f"with another {', '.join(mapping.where)}, or empty" if mapping.where else "empty"
+            notices.append(f"{counted(int((~asked).sum()), 'row')} left out: {why}")
+            lines = None if file.lines is None else pl.Series(file.lines).filter(asked)
+            file = replace(file, frame=file.frame.filter(asked), lines=lines)
+        shared, tables, known = by_sensor.pop(None), [], dict[Expression, pl.Series]()
+        for sensor, own in (by_sensor or {None: {}}).items():
+            columns = _complete(file, mapping, shared | own, sensor)
+            ids = layout(name, [*columns]).ids
+            known |= {e: e.ids(file) if n in ids else e.numbers(file) for n, e in columns.items() if e not in known}
+            table = pl.DataFrame({n: known[e] for n, e in columns.items()})
+            tables.append(table.with_columns(pl.int_range(pl.len()).alias(ORIGIN) + len(self.parts) * 2**40))
+            self.parts.append((file, {n: "+".join(e.sources) or e.text for n, e in columns.items()}))
+        table, wanted = pl.concat(tables), layout(name, tables[0].columns)
         filled = table.filter(pl.any_horizontal(pl.col(wanted.values).is_not_null()))
         if len(filled) < len(table):
             notices.append(f"{counted(len(table) - len(filled), 'row')} without a value left out")
         if filled.is_empty():
             raise UnusableInput(f"{file.path}: no row has a value of {', '.join(wanted.values)}; look at the mapping")
-        used = mapping.sources | {"t_s", *wanted.ids, *wanted.values, *wanted.optional}
-        if unused := [name for name in file.frame.columns if name not in used]:
+        used = named | {"t_s", *wanted.ids, *wanted.values, *wanted.optional}
+        if unused := [column for column in file.frame.columns if column not in used]:
             notices.append(f"columns not used: {listed(unused, 12)}")
-        if mapping.table in ("truth", "fixes"):
-            where, fix = (
-                f"{file.path}: column {parts[-1][1]['t_s']}",
-                ", or add the column of the fraction: t_s=secs+nsecs*1e-9",
+        for (tag,), rows in filled.partition_by("tag", as_dict=True).items() if name in ("truth", "fixes") else ():
+            where = f"{file.path}: column {self.parts[-1][1]['t_s']}"
+            refuse_lost_digits(where, rows, f"poses of tag {tag}", ", or add their column: t_s=secs+nsecs*1e-9")
+        if mapping.body:
+            if QUATERNION[0] not in filled.columns:
+                raise UnusableInput(f"{name}: body = true without an attitude; expected qw, qx, qy, qz in columns")
+            q, at = (
+                filled.select(QUATERNION).to_numpy(),
+                [mapping.offsets.get(t, (0.0, 0.0, 0.0)) for t in filled["tag"]],
             )
-            for (tag,), rows in filled.partition_by("tag", as_dict=True).items():
-                refuse_lost_digits(where, rows, f"poses of tag {tag}", fix)
-        filled = _at_the_tags(filled, mapping) if mapping.body else filled
-        self.add(
-            mapping.table, filled.sort("t_s", maintain_order=True) if len(table) > len(file.frame) else filled, notices
-        )
-        if mapping.places:
-            places = [e.values(whole, name).alias(name) for name, e in mapping.places.items()]
-            anchors = pl.DataFrame([mapping.expressions["anchor"].ids(whole, "anchor").alias("anchor"), *places])
-            for anchor, *place in anchors.unique(maintain_order=True).rows():
-                put(self.anchors, str(file.path), anchor, tuple(x + 0.0 for x in place))
-
-    def add(self, name: str, table: pl.DataFrame, notices: Sequence[str]) -> None:
-        """Adds a table, after the rows of another part of it."""
+            turns = rotation_matrices(q / np.linalg.norm(q, axis=1, keepdims=True))
+            moved = np.einsum("nij,nj->ni", turns, np.array(at, float))
+            filled = filled.with_columns(pl.col(f"{a}_m") + pl.Series(x) for a, x in zip("xyz", moved.T, strict=True))
+        filled = filled.sort("t_s", maintain_order=True) if len(tables) > 1 else filled
         if name in self.tables:
-            table = pl.concat([self.tables[name], table], how="diagonal").sort("t_s", maintain_order=True)
-        self.tables[name] = table
+            filled = pl.concat([self.tables[name], filled], how="diagonal").sort("t_s", maintain_order=True)
+        self.tables[name] = filled
         self.notices += [f"{name}: {line}" for line in notices]
+        if places:
+            rows = pl.DataFrame([expressions["anchor"].ids(whole), *(e.numbers(whole).alias(e.target) for e in places)])
+            distinct = rows.with_row_index("").unique(rows.columns, keep="first", maintain_order=True)
+            for row, anchor, *place in distinct.drop_nulls().rows():
+                put(self.anchors, whole.location(row, "anchor"), anchor, tuple(x + 0.0 for x in place))
 
     def location(self, table: str, row: int, column: str) -> str:
-        """Where a cell of a table stands in the source, in words; empty where that is not known."""
-        origins = self.tables[table]
-        if ORIGIN not in origins.columns:
-            return ""
-        part, row = divmod(origins[ORIGIN][row], 2**40)
-        file, names = self.parts[table][part]
+        """Where a cell of a table stands in the source, in words."""
+        part, row = divmod(self.tables[table][ORIGIN][row], 2**40)
+        file, names = self.parts[part]
         return file.location(row, names.get(column, column))
 
 
@@ -225,38 +184,28 @@ def refuse_lost_digits(where: str, table: pl.DataFrame, what: str = "poses", fix
     """Raises UnusableInput where most poses of a table have the time of another; one that is repeated counts once."""
     poses = table.unique([name for name in ("t_s", "x_m", "y_m", "z_m") if name in table.columns])
     if 2 * (times := poses["t_s"].n_unique()) < len(poses):
-        found = "one time" if times == 1 else f"{times} times"
-        raise UnusableInput(
-            f"{where}: {len(poses)} {what}, {found}: the stamps have lost their digits; expected a time for each pose; "
-            f"write them with all digits{fix}"
-        )
+        found = f"{len(poses)} {what}, {'one time' if times == 1 else f'{times} times'}"
+        raise UnusableInput(f"{where}: {found}: the stamps have lost their digits; write them with all digits{fix}")
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
-    """The tables that the mappings make of a file of text or Parquet; raises UnusableInput with file and line."""
+    """The tables that the mappings make of a file of text or Parquet, or of a folder's files; raises UnusableInput."""
     source = Source()
-    for file, mapping in (pair for one in asked.mappings for pair in _files(path, one)):
-        if name == "json":
-            rows, notices = read_json(file, mapping, asked.interval, asked.skip)
-        else:
-            rows, notices = read_rows(file, mapping)
-        source.notices += [line for line in notices if line not in source.notices]
-        if mapping.table == "truth" and len(asked.mappings) > 1 and mapping.sources.isdisjoint(rows.frame.columns):
-            source.notices.append(f"{file.name}: no truth, which has none of the columns of its mapping")
-            continue
-        source.read(rows, mapping)
+    for mapping in asked.mappings:
+        pattern = _HOLE.sub("*", mapping.file or "").lstrip("/")
+        names = [one.relative_to(path).as_posix() for one in sorted(path.glob(pattern))] if pattern else [""]
+        if not (found := _fitting(mapping.file or "", names)):
+            raise UnusableInput(f"{path}: no folder with {mapping.file}; check the path")
+        for file, holes in found:
+            one = replace(mapping, tag=mapping.tag and _filled(mapping.tag, holes))
+            read = partial(read_json, interval=asked.interval, skip=asked.skip) if name == "json" else read_rows
+            rows, notices = read(path / file, one)
+            source.notices += [line for line in notices if line not in source.notices]
+            if mapping.table == "truth" and len(asked.mappings) > 1 and one.sources.isdisjoint(rows.frame.columns):
+                source.notices.append(f"{rows.path.name}: no truth, which has none of the columns of its mapping")
+            else:
+                source.read(rows, one)
     return source
-
-
-def _files(path: Path, mapping: TableMapping) -> list[tuple[Path, TableMapping]]:
-    """The files of a mapping, several of a folder, each with the mapping for it."""
-    if mapping.file is None:
-        return [(path, mapping)]
-    files = sorted(path.glob(_HOLE.sub("*", mapping.file).lstrip("/") or "*"))
-    fitting = _fitting(mapping.file, [file.relative_to(path).as_posix() for file in files])
-    if not fitting:
-        raise UnusableInput(f"{path}: no folder with {mapping.file}; check the path")
-    return [(path / name, replace(mapping, tag=mapping.tag and _filled(mapping.tag, holes))) for name, holes in fitting]
 
 
 def _fitting(template: str, names: Iterable[str]) -> list[tuple[str, dict[str, str]]]:
@@ -274,142 +223,63 @@ def _filled(template: str, holes: Mapping[str, str]) -> str:
 def spelled_out(mapping: TableMapping, names: Sequence[str]) -> TableMapping:
     """The mapping with a column for each of the source's `names` that fits one with holes."""
     columns = {}
-    for target, e in mapping.expressions.items():
-        holes = next(filter(_HOLE.search, e.sources), "")
-        for name, found in _fitting(holes, names) if holes else [("", {})]:
-            columns[_filled(target, found)] = e.text.replace(holes, f"`{name}`") if holes else e.text
+    for target, text in mapping.columns.items():
+        holes = re.search(r"[^\s*/+()]*\{\w+\}[^\s*/+()]*", text)
+        for name, found in _fitting(holes[0], names) if holes else [("", {})]:
+            columns[_filled(target, found)] = text.replace(holes[0], f"`{name}`") if holes else text
     return replace(mapping, columns=columns)
 
 
-def _rows_asked(file: TableFile, mapping: TableMapping) -> tuple[TableFile, TableMapping, list[str]]:
-    """The rows of a file that a mapping asks for, the mapping without holes, and notices.
-
-    Rows of tables that stand side by side are empty where one ends before the others.
-    """
-    mapping, frame, notices = spelled_out(mapping, file.frame.columns), file.frame, list[str]()
-    wanted = layout(mapping.table, frame.columns)
-    named = {*mapping.sources, "t_s", *wanted.ids, *wanted.values}
-    used = [name for name in frame.columns if name in named] or frame.columns
+def _asked(file: TableFile, mapping: TableMapping, named: set[str]) -> pl.Series:
+    """Whether a mapping asks for each row; where one of several tables side by side ends, rows are empty."""
+    wanted, frame = layout(mapping.table, file.frame.columns), file.frame
+    used = [n for n in frame.columns if n in named | {"t_s", *wanted.ids, *wanted.values}] or frame.columns
     full = [pl.col(n) != "" if frame[n].dtype == pl.String else pl.col(n).is_not_null() for n in used]
     asked = frame.select(asked=pl.any_horizontal(full).fill_null(False))["asked"]
     for name, values in mapping.where.items():
-        (term,) = Expression(name, (Term(name),)).terms_in(file, "where")
-        asked &= texts_of(frame[term.source]).is_in([str(value) for value in values])
-    if not asked.all():
-        why = f"with another {', '.join(mapping.where)}, or empty" if mapping.where else "empty"
-        notices.append(f"{counted(int((~asked).sum()), 'row')} left out: {why}")
-        lines = None if file.lines is None else pl.Series(file.lines).filter(asked)
-        file = replace(file, frame=frame.filter(asked), lines=lines)
-    for target, e in mapping.expressions.items():
-        if e.date and (order := order_in(e.dates(file, target), e.date)) != e.date:
-            notices.append(f"column {' + '.join(e.sources)}: dates are read as {order}")
-    return file, mapping, notices
+        texts = texts_of(frame[parsed("where", f"`{name}`", file).sources[0]])
+        asked &= texts.is_in([str(value) for value in values]).fill_null(False)
+    return asked
 
 
-def _at_the_tags(table: pl.DataFrame, mapping: TableMapping) -> pl.DataFrame:
-    """The table with positions of bodies moved to their tags."""
-    if QUATERNION[0] not in table.columns:
-        raise UnusableInput(f"{mapping.table}: body = true without an attitude; expected qw, qx, qy, qz in columns")
-    q = table.select(QUATERNION).to_numpy()
-    offsets = np.array([mapping.offsets.get(tag, (0.0, 0.0, 0.0)) for tag in table["tag"]], float)
-    moved = np.einsum("nij,nj->ni", rotation_matrices(q / np.linalg.norm(q, axis=1, keepdims=True)), offsets)
-    return table.with_columns(pl.col(f"{a}_m") + pl.Series(x) for a, x in zip("xyz", moved.T, strict=True))
-
-
-def _parts(file: TableFile, mapping: TableMapping, known: list[tuple[TableFile, dict[str, str]]]) -> list[pl.DataFrame]:
-    """The rows of each sensor that columns name, or of all where the source has a column of it, with ORIGIN.
-
-    The parts of the source are added to those `known`.
-    """
-    by_sensor: dict[str | None, dict[str, Expression]] = {}
-    for target, expression in mapping.expressions.items():
-        name, sensor = sensor_of(target)
-        by_sensor.setdefault(sensor, {})[name] = expression
-    shared, parts, read = by_sensor.pop(None, {}), [], dict[tuple[str, str], pl.Series]()
-    for sensor, own in (by_sensor or {None: {}}).items():
-        columns = _columns(file, mapping, shared | own, sensor)
-        for name, e in columns.items():
-            if (name, e.text) not in read:
-                is_id = name in layout(mapping.table, [*columns]).ids
-                read[name, e.text] = (e.ids if is_id else e.values)(file, name)
-        table = pl.DataFrame({name: read[name, e.text] for name, e in columns.items()})
-        _refuse_empty(file, mapping, columns, table)
-        parts.append(table.with_columns(pl.int_range(pl.len(), dtype=pl.Int64).alias(ORIGIN) + len(known) * 2**40))
-        known.append((file, {name: "+".join(e.sources) or e.text for name, e in columns.items()}))
-    return parts
-
-
-def _columns(
+def _complete(
     file: TableFile, mapping: TableMapping, expressions: dict[str, Expression], sensor: str | None
 ) -> dict[str, Expression]:
     """The expressions of all columns of a table, of one sensor or of all; raises UnusableInput for one that lacks."""
-    present = file.frame.columns
-    wanted = layout(mapping.table, [*expressions, *(name for name in present if name not in expressions)])
-    ids = wanted.ids
-    _refuse_other_tags(file, mapping.tag, expressions.get("tag", parsed("tag", "tag")))
+    present, table = file.frame.columns, mapping.table
+    wanted = layout(table, [*expressions, *(name for name in present if name not in expressions)])
+    own = expressions.get("tag", Expression("tag", "tag", ("tag",)))
+    given, column = mapping.tag or own.constant, next(iter(own.sources), "tag")
+    tags = {*texts_of(file.frame[column])} - {None, "", given} if given and column in present else set()
+    if tags and (mapping.tag or len(tags) > 1):
+        fix = f'leave it out, or read one alone: where = {{ {column} = ["{min(tags)}"] }} in a file of --mapping'
+        found = f"the column {column} has {listed(sorted(tags))}, which --tag {given} would overwrite"
+        raise UnusableInput(f"{file.path}: {found}; {fix}")
     constants = {} if mapping.tag is None else {"tag": mapping.tag}
     if sensor is not None:
-        if len(ids) < 2:
-            raise UnusableInput(f"{mapping.table}: has no anchors or stations; leave [{sensor}] out of the columns")
-        each = [sensor] if len(ids) == 2 else [one.strip() for one in sensor.split(",")]
-        if len(each) != len(ids) - 1:
-            raise UnusableInput(f"{mapping.table}: [{sensor}] in the columns; expected [{','.join(ids[1:])}]")
-        constants |= dict(zip(ids[1:], each, strict=True))
-    expressions |= {name: Expression(repr(text), constant=text) for name, text in constants.items()}
-    known = ("t_s", *ids, *wanted.values, *wanted.optional)
+        each = [sensor] if len(wanted.ids) == 2 else [one.strip() for one in sensor.split(",")]
+        if len(each) != len(wanted.ids) - 1:
+            expected = f"[{','.join(wanted.ids[1:])}]" if wanted.ids[1:] else "none: it has no anchors or stations"
+            raise UnusableInput(f"{table}: [{sensor}] in the columns; expected {expected}")
+        constants |= dict(zip(wanted.ids[1:], each, strict=True))
+    expressions |= {name: Expression(name, repr(text), constant=text) for name, text in constants.items()}
+    known = ("t_s", *wanted.ids, *wanted.values, *wanted.optional)
     # Signal quality may have any name that is not like one of the others.
     quality = [name for name in expressions if name in wanted.quality and not get_close_matches(name, known, 1, 0.75)]
     if unknown := next((name for name in expressions if name not in (*known, *quality)), None):
-        alike = get_close_matches(unknown, known, 1, 0.5) or [listed(known, 12)]
-        raise UnusableInput(f"{mapping.table}: has no column {unknown}; expected {alike[0]}; rename it")
-    expressions |= {n: parsed(n, f"`{n}`") for n in known if n not in expressions and n in present}
-    for name in ("t_s", *ids, *(wanted.values or table_kinds()[mapping.table].least)):
+        raise UnusableInput(f"{table}: has no column {unknown}{near(unknown, known)}; expected {listed(known, 12)}")
+    expressions |= {n: parsed(n, f"`{n}`", file) for n in known if n not in expressions and n in present}
+    for name in ("t_s", *wanted.ids, *(wanted.values or table_kinds()[table].least)):
         if name not in expressions:
-            raise UnusableInput(_missing(file, mapping.table, name))
-    attitude = [name for name in QUATERNION if name in expressions]
-    if attitude and len(attitude) < 4:
-        raise UnusableInput(f"{file.path}: {', '.join(attitude)} alone; expected all of qw, qx, qy, qz or none")
+            source = get_close_matches(name.rpartition("_")[0], [c for c in present if c not in known], 1, 0.3)
+            example = f"{name}={(source or ['COLUMN'])[0]}" + " in UNIT" * ("_" in name)
+            fix = f"add --columns '{example}'; a file without a header: --header none"
+            fix = {
+                "tag": "give --tag ID (in Python: tag=)",
+                "z_m": "add an empty column where no height is measured",
+            }.get(name, fix)
+            found = f"found {listed(map(repr, present), 12)}"
+            raise UnusableInput(f"{file.path}: {table} needs {name}, which no column gives; {found}; {fix}")
+    if 0 < sum(name in expressions for name in QUATERNION) < 4:
+        raise UnusableInput(f"{file.path}: has a part of qw, qx, qy, qz; expected all or none")
     return {name: expressions[name] for name in (*known, *quality) if name in expressions}
-
-
-def _refuse_empty(
-    file: TableFile, mapping: TableMapping, columns: Mapping[str, Expression], table: pl.DataFrame
-) -> None:
-    """Raises UnusableInput for a row with a value but without its time or an id."""
-    wanted = layout(mapping.table, table.columns)
-    for name in ("t_s", *wanted.ids):
-        lost = table[name].is_null() if name == "t_s" else table[name].fill_null("") == ""
-        if lost.any():
-            values = [pl.col(n).is_not_null() for n in wanted.values if n in table.columns]
-            lost &= table.select(pl.any_horizontal(*values, pl.lit(False))).to_series()
-        if lost.any():
-            what = "no time; remove the row" if name == "t_s" else f"empty; expected the id for {name}"
-            where = file.location(first_row(lost), " + ".join(columns[name].sources))
-            raise UnusableInput(f"{where}: {what}")
-
-
-def _refuse_other_tags(file: TableFile, tag: str | None, own: Expression) -> None:
-    """Raises UnusableInput where a `tag` for all rows, or `own` as a text, overwrites others that the rows have."""
-    given, column = own.constant if tag is None else tag, next(iter(own.sources), "tag")
-    found = {*texts_of(file.frame[column])} - {None, ""} if given and column in file.frame.columns else set()
-    if found - {given} and (tag is not None or len(found) > 1):
-        fix = f'leave it out, or read one tag alone: where = {{ {column} = ["{min(found)}"] }} in a file of --mapping'
-        others = f"the column {column} has {listed(sorted(found))}"
-        raise UnusableInput(f"{file.path}: {others}; --tag {given} would overwrite it; {fix}")
-
-
-def _missing(file: TableFile, table: str, name: str) -> str:
-    columns = file.frame.columns
-    standard = {"t_s", "tag", *layout(table, columns).values}
-    unmapped = f"{file.path}: {table} needs {name}, which no column gives; found {listed(map(repr, columns), 12)}"
-    if name == "z_m":
-        unmapped += "; expected a column, an empty one where no height is measured"
-    if name == "tag":
-        return f"{unmapped}; give --tag ID"
-    if file.lines is not None and any(c[:1].isdigit() or c[:1] in "-." for c in columns):
-        unmapped += "; a file without a header: --header none"
-    alike = get_close_matches(name.rpartition("_")[0] or name, [c for c in columns if c not in standard], 1, 0.3)
-    source = alike[0] if alike else "COLUMN"
-    unit = _UNIT_IN_NAME.search(source)
-    example = f"{name}={source}" + (f" in {(unit[1] or unit[2]).lower()}" if unit and "_" in name else "")
-    return f"{unmapped}; add --columns {example!r}"

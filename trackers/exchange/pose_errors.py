@@ -12,40 +12,33 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from trackwright.trackers.core.data.seconds import HOLE_S, span
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, require
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, Similarity
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 Statistics = dict[str, float]
-ALIKE = 0.3
-"""The least correlation of aligned positions with the true ones from which an alignment is taken."""
-WINDOW_S, GRID_S, LONGEST_S = 0.5, 0.05, 10_000.0
-"""Speeds are centred distances over `WINDOW_S`; for a time offset every `GRID_S` of at most `LONGEST_S`."""
+ALIKE = 0.3  # the least correlation of aligned positions with the true ones from which an alignment is taken
+WINDOW_S, GRID_S, LONGEST_S = 0.5, 0.05, 10_000.0  # of centred speeds, their grid for a time offset, the longest one
 
 
 def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) -> Similarity:
-    """The map from the poses of an estimate to the truth's, row k to row k.
+    """The map of least squares from poses to true ones, row k to row k (Umeyama 1991); or UnusableInput.
 
-    `se3`: rotation and translation of least squares of the positions; `sim3`: with a scale; `scale`: that scale alone,
-    about the origin; `se2`: rotation about the vertical axis and translation in x and y; `origin`: the first pose on
-    the first true pose. Raises UnusableInput where the positions do not determine the rotation.
+    `se2`: in the plane; `scale`: the scale of `sim3` alone; `origin`: the first pose on the first true pose.
     """
-    if kind not in get_args(Alignment):
-        raise UnusableInput(f"align = {kind!r}; expected one of {', '.join(get_args(Alignment))}")
-    x, y, rotation, translation, axes = estimate.positions, truth.positions, np.eye(3), np.zeros(3), 3
+    require(kind in get_args(Alignment), "align", kind, f"one of {', '.join(get_args(Alignment))}")
+    x, y, rotation, translation = estimate.positions, truth.positions, np.eye(3), np.zeros(3)
+    axes, n = (2 if kind == "se2" else 3), len(x)
     if kind == "none":
         return Similarity(rotation, translation, flat=True)
-    if kind == "se2":
-        axes = 2
-    elif unknown := [t.name for t in (estimate, truth) if not np.isfinite(t.positions).all()]:
+    if axes == 3 and (unknown := [t.name for t in (estimate, truth) if not np.isfinite(t.positions).all()]):
         raise UnusableInput(f"{unknown[0]}: has no height; expected x, y, z for --align {kind}; use --align se2")
     if kind == "origin":
         if estimate.quaternions is not None and truth.quaternions is not None:
             rotation = rotation_matrices(truth.quaternions[0]) @ rotation_matrices(estimate.quaternions[0]).T
         return Similarity(rotation, y[0] - rotation @ x[0])
-    # Umeyama 1991, equations (34) to (43).
-    n, x, y = len(x), x[:, :axes], y[:, :axes]
+    x, y = x[:, :axes], y[:, :axes]
     from_x, from_y = x - x.mean(axis=0), y - y.mean(axis=0)
     u, d, v = np.linalg.svd(from_y.T @ from_x / n)
     signs = np.ones(axes)
@@ -53,10 +46,9 @@ def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) 
     # A tag at rest turns as the noise of its positions does, which does not follow the truth.
     still = n * (d * signs).sum() <= ALIKE * np.linalg.norm(from_x) * np.linalg.norm(from_y)
     if still or np.count_nonzero(d > np.finfo(float).eps) < axes - 1:
-        what = "do not move with it" if still else "lie on a line"
-        fix = "--align none, or origin where heights are known" if still or axes == 2 else "--align se2, none or origin"
-        where = f"{estimate.name}: its {n} poses with truth {what}"
-        raise UnusableInput(f"{where}, so that --align {kind} finds no rotation; expected motion; use {fix}")
+        found = f"{estimate.name}: its {n} poses lie on a line, or do not move with the truth"
+        fix = "use --align none, or origin where heights are known"
+        raise UnusableInput(f"{found}, so that --align {kind} finds no rotation; expected motion; {fix}")
     scale = float((d * signs).sum() / ((from_x**2).sum() / n)) if kind in ("sim3", "scale") else 1.0
     if kind != "scale":
         rotation[:axes, :axes] = (u * signs) @ v
@@ -67,11 +59,30 @@ def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) 
 def estimate_offset(estimate: PoseTrajectory, truth: PoseTrajectory, align: Alignment = "none") -> float:
     """The time, s, to add to the times of an estimate so that it fits the truth best, to 0.1 ms.
 
-    First the lag of the best correlation of horizontal speeds, of those at which at least half of the shorter one
-    overlaps; then, within 0.5 s of it, the offset of the least root mean square distance between the aligned estimate
-    and the interpolated truth. Raises UnusableInput where no correlation reaches 0.5.
+    First the lag at which horizontal speeds correlate best; then, within 0.5 s of it, the offset of the least distance
+    between the aligned estimate and the interpolated truth. Raises UnusableInput where no correlation reaches 0.5.
     """
-    coarse = _by_speed(estimate, truth)
+    from scipy.optimize import minimize_scalar
+    from scipy.signal import correlate, correlation_lags
+
+    lasts = [float(t.times[-1] - t.times[0]) for t in (estimate, truth)]
+    if min(lasts) < 4 * WINDOW_S or max(lasts) > LONGEST_S:
+        expected = f"expected 2 to {LONGEST_S:,.0f} s; give --time-offset in seconds"
+        raise UnusableInput(f"{estimate.name}: {lasts[0]:.3g} s, and {lasts[1]:.3g} s of truth; {expected}")
+    grids = [np.arange(t.times[0], t.times[-1] - WINDOW_S, GRID_S) + WINDOW_S / 2 for t in (estimate, truth)]
+    # Rounding may put the ends of the windows beyond the trajectory's; without means, sums lose fewer digits.
+    v, w = (np.nan_to_num(_speeds(t, grid)) for t, grid in zip((estimate, truth), grids, strict=True))
+    v, w, one, true_one = v - v.mean(), w - w.mean(), np.ones_like(v), np.ones_like(w)
+    of = ((one, true_one), (v, true_one), (one, w), (v, w), (v * v, true_one), (one, w * w))
+    n, *sums = (correlate(b, a, method="fft") for a, b in of)
+    mean_v, mean_w, product, square_v, square_w = (each / n for each in sums)
+    variances = (square_v - mean_v**2) * (square_w - mean_w**2)
+    r = (product - mean_v * mean_w) / np.sqrt(np.maximum(variances, 1e-18))
+    r[np.round(n) < min(len(v), len(w)) / 2] = 0.0
+    if r.max() < 0.5:
+        found = f"{estimate.name}: no time offset fits: speeds correlate with the true ones by {r.max():.2f}"
+        raise UnusableInput(f"{found}; expected 0.5 or more, from changes of speed; give --time-offset in seconds")
+    coarse = grids[1][0] - grids[0][0] + correlation_lags(len(w), len(v))[r.argmax()] * GRID_S
     estimate = estimate.at_rows(np.unique(np.linspace(0, len(estimate) - 1, 5000).astype(int)))
 
     def distance(offset: float) -> float:
@@ -79,50 +90,20 @@ def estimate_offset(estimate: PoseTrajectory, truth: PoseTrajectory, align: Alig
         rows = np.flatnonzero((times >= truth.times[0]) & (times <= truth.times[-1]))
         if len(rows) < max(3, 0.25 * min(len(estimate), len(truth))):
             return math.inf
-        of, true = estimate.at_rows(rows), PoseTrajectory(times[rows], _places(truth, times[rows]), None, truth.name)
+        part, true = estimate.at_rows(rows), PoseTrajectory(times[rows], _places(truth, times[rows]), None, truth.name)
         # The first pose alone would follow the noise of one row.
-        moved = alignment("none" if align == "origin" else align, of, true).points(of.positions)
+        moved = alignment("none" if align == "origin" else align, part, true).points(part.positions)
         return float(np.sqrt(np.mean(np.nansum((moved - true.positions) ** 2, axis=1))))
 
     # The distance has one minimum near the right offset, but small ripples where poses enter and leave the overlap.
     grid = coarse + np.linspace(-0.5, 0.5, 41)
     best = int(np.argmin([distance(offset) for offset in grid]))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, 40)]
-    while high - low > 1e-4:
-        step = (math.sqrt(5.0) - 1.0) / 2.0 * (high - low)
-        low, high = (low, low + step) if distance(high - step) <= distance(low + step) else (high - step, high)
-    return float(low + high) / 2
-
-
-def _by_speed(estimate: PoseTrajectory, truth: PoseTrajectory) -> float:
-    """The lag, s, of the best correlation of the speeds every `GRID_S`, at each lag over the part that overlaps."""
-    from scipy.signal import correlate, correlation_lags
-
-    lasts = [float(t.times[-1] - t.times[0]) for t in (estimate, truth)]
-    if min(lasts) < 4 * WINDOW_S or max(lasts) > LONGEST_S:
-        found = f"{estimate.name}: {lasts[0]:.3g} s, and {lasts[1]:.3g} s of truth, to estimate a time offset"
-        raise UnusableInput(f"{found}; expected 2 to {LONGEST_S:,.0f} s; give --time-offset in seconds")
-    grids = [np.arange(t.times[0], t.times[-1] - WINDOW_S, GRID_S) + WINDOW_S / 2 for t in (estimate, truth)]
-    # Rounding may put the ends of the windows beyond the trajectory's.
-    v, w = (np.nan_to_num(_speeds(t, grid)) for t, grid in zip((estimate, truth), grids, strict=True))
-    # Without their means the sums below lose fewer digits.
-    v, w, one, true_one = v - v.mean(), w - w.mean(), np.ones_like(v), np.ones_like(w)
-    of = ((one, true_one), (v, true_one), (one, w), (v, w), (v * v, true_one), (one, w * w))
-    n, *sums = (correlate(b, a, method="fft") for a, b in of)
-    mean_v, mean_w, product, square_v, square_w = (each / n for each in sums)
-    variances = (square_v - mean_v**2) * (square_w - mean_w**2)
-    correlations = (product - mean_v * mean_w) / np.sqrt(np.maximum(variances, 1e-18))
-    correlations[np.round(n) < min(len(v), len(w)) / 2] = 0.0
-    best = int(correlations.argmax())
-    if correlations[best] < 0.5:
-        found = f"{estimate.name}: no time offset fits: its speed and the true one correlate by"
-        expected = "expected 0.5 or more, from changes of speed; give --time-offset in seconds"
-        raise UnusableInput(f"{found} {correlations[best]:.2f}; {expected}")
-    return float(grids[1][0] - grids[0][0] + correlation_lags(len(w), len(v))[best] * GRID_S)
+    bounds = (grid[max(best - 1, 0)], grid[min(best + 1, 40)])
+    return float(minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": 5e-5}).x)
 
 
 def _places(poses: PoseTrajectory, times: np.ndarray) -> np.ndarray:
-    """The interpolated positions (..., 3), m, at times (...), s; NaN before the first and after the last."""
+    """The interpolated positions (n, 3), m, at times (n,), s; NaN before the first and after the last."""
     known, rows = np.unique(poses.times, return_index=True)
     return np.stack([np.interp(times, known, axis, np.nan, np.nan) for axis in poses.positions[rows].T], axis=-1)
 
@@ -144,10 +125,7 @@ def step_of(text: str) -> tuple[str, float, str]:
 def associate(
     estimate: PoseTrajectory, truth: PoseTrajectory, tolerance: float = 0.01, offset: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The rows of estimate and truth that belong together: for each pose of the shorter, the nearest of the longer.
-
-    Pairs further apart than `tolerance`, s, are left out; `offset`, s, is added to the times of the estimate.
-    """
+    """The rows that belong together: for each pose of the shorter, the nearest of the longer within `tolerance`, s."""
     longer = len(estimate) > len(truth)
     short, long = (truth, estimate) if longer else (estimate, truth)
     nearest, apart = _nearest(long.times + (offset if longer else -offset), short.times)
@@ -193,23 +171,21 @@ def statistics(errors: np.ndarray) -> Statistics:
 def _speed_errors(estimated: PoseTrajectory, true: PoseTrajectory, times: np.ndarray) -> Statistics | None:
     """Of estimated less true speeds, with their mean `bias`; intervals that touch a hole are left out."""
     errors = _speeds(estimated, times) - _speeds(true, times)
-    ends = times[:, None] + np.array([-0.5, 0.5]) * WINDOW_S
     for known in (np.unique(estimated.times), np.unique(true.times)):
-        # Where a gap follows or precedes, by the rows between which each end lies; before and after all there is none.
+        # By the rows between which each end lies; before and after all there is no gap.
         gaps = np.concatenate([[0.0], np.diff(known), [0.0]])
-        errors[(gaps[np.searchsorted(known, ends)] > HOLE_S).any(axis=1)] = np.nan
+        ends = np.searchsorted(known, times[:, None] + np.array([-0.5, 0.5]) * WINDOW_S)
+        errors[(gaps[ends] > HOLE_S).any(axis=1)] = np.nan
     errors = errors[np.isfinite(errors)]
     return statistics(np.abs(errors)) | {"bias": float(errors.mean())} if len(errors) else None
 
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryErrors:
-    """Errors of a trajectory against the truth: statistics of absolute ones (`ape`), and by step of relative (`rpe`).
+    """Statistics of absolute errors (`ape`), of relative ones by step (`rpe`), and of horizontal speeds over 0.5 s.
 
-    `pairs`: poses with a true one, of `possible`, the length of the shorter trajectory. `planar`: whether a height is
-    unknown, so that errors are horizontal. `time_offset`, s, and `similarity` were applied to the estimate; `aligned`
-    is all of it. `ape_rad`, `rpe_rad`: None or empty without attitudes. `speed_mps`: of estimated minus true horizontal
-    speed over 0.5 s, with `bias` their mean; None where no such interval lies in both.
+    `pairs`: poses with a true one, of `possible`, the length of the shorter trajectory. `planar`: a height is unknown,
+    so that errors are horizontal. `time_offset`, s, and `similarity` lead from the estimate to `aligned`.
     """
 
     name: str
@@ -228,8 +204,7 @@ class TrajectoryErrors:
 
     def to_dict(self) -> dict[str, Any]:
         """All of it in plain numbers, for JSON; the angles in rad."""
-        names = ("pairs", "possible", "planar", "ape_m", "ape_rad", "rpe_m", "rpe_rad", "speed_mps")
-        s = self.similarity
+        names, s = ("pairs", "possible", "planar", "ape_m", "ape_rad", "rpe_m", "rpe_rad", "speed_mps"), self.similarity
         moved = {"rotation": s.rotation, "translation_m": s.translation, "scale": s.scale}
         times = {"time_offset_s": self.time_offset, "time_tolerance_s": self.tolerance, "alignment": moved}
         return times | {name: getattr(self, name) for name in names}
@@ -244,36 +219,29 @@ def compare_trajectories(
     rpe: Sequence[str] = ("1m", "1s"),
     all_pairs: bool = False,
 ) -> TrajectoryErrors:
-    """The errors of an estimated trajectory, with poses associated by time as evo does it.
+    """The errors of an estimated trajectory, as evo defines them: of poses at most `tolerance`, s, apart.
 
-    `align`: see `alignment`, fitted to the associated poses. `time_offset`: s, added to the times of the estimate;
-    "auto" estimates it. `tolerance`: s, the largest distance in time of two associated poses. `rpe`: steps of relative
-    errors, as 1m, 1s or 10f (rows); one longer than the trajectory has none. `all_pairs`: relative errors from every
-    pose, over steps that fit to a tenth. They compare displacements in the frame of the truth, with attitudes in the
-    body frames of the first poses. Raises UnusableInput where nothing is associated or the alignment not determined.
+    `align`: see `alignment`. `time_offset`: s, added to the times of the estimate; "auto" estimates it. `rpe`: steps as
+    1m, 1s or 10f (rows). `all_pairs`: from every pose, over steps that fit to a tenth. Relative errors are of
+    displacements in the frame of the truth, with attitudes in the body's. Raises UnusableInput where nothing fits.
     """
     steps = [step_of(text) for text in rpe]
-    if not tolerance >= 0:
-        raise UnusableInput(f"a tolerance of {tolerance:g} s; expected a time of zero or more")
+    require(tolerance >= 0, "tolerance", tolerance, "a time of zero or more, s")
     offset = estimate_offset(estimate, truth, align) if time_offset == "auto" else float(time_offset)
     rows, true_rows = associate(estimate, truth, tolerance, offset)
     if not len(rows):
         (first, last), (begin, end) = estimate.times[[0, -1]] + offset, truth.times[[0, -1]]
-        rows, true_rows = associate(estimate, truth, np.inf, offset)
-        apart = np.median(np.abs(estimate.times[rows] + offset - truth.times[true_rows]))
-        way = f"a larger --time-tolerance: half of the poses have a true one within {apart:.3g} s"
-        if last < begin or first > end:
-            way = f"a --time-offset: with {round(begin - estimate.times[0], 6):.16g} both begin together"
-        raise UnusableInput(
-            f"{estimate.name}: no pose lies within {tolerance:g} s of a true pose: estimates from "
-            f"{span(first, last)}, truth from {span(begin, end)}; give {way}"
-        )
+        apart = np.median(_nearest(truth.times, estimate.times + offset)[1])
+        found = f"no pose lies within {tolerance:g} s of a true pose: estimates from {span(first, last)}"
+        begins = f"a --time-offset: with {round(begin - estimate.times[0], 6):.16g} both begin together"
+        fix = f"{begins}; or a larger --time-tolerance: half of the poses have a true one within {apart:.3g} s"
+        raise UnusableInput(f"{estimate.name}: {found}, truth from {span(begin, end)}; give {fix}")
     similarity = alignment(align, estimate.at_rows(rows), truth.at_rows(true_rows))
     aligned = replace(similarity.trajectory(estimate), times=estimate.times + offset)
     planar = not (np.isfinite(estimate.positions).all() and np.isfinite(truth.positions).all())
-    pair = aligned.at_rows(rows), truth.at_rows(true_rows)
+    pair = [aligned.at_rows(rows), truth.at_rows(true_rows)]
     if planar:
-        pair = tuple(replace(t, positions=np.nan_to_num(t.positions) * [1, 1, 0]) for t in pair)  # type: ignore[assignment]
+        pair = [replace(t, positions=np.nan_to_num(t.positions) * [1, 1, 0]) for t in pair]
     given = [t.quaternions for t in pair if t.quaternions is not None]
     turns = [Rotation.from_quat(q, scalar_first=True) for q in given] if len(given) == 2 else []
     rpe_m, rpe_rad = dict[str, Statistics](), dict[str, Statistics]()

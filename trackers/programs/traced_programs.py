@@ -15,6 +15,7 @@ import pickle
 import platform
 import re
 import sys
+import warnings
 import zlib
 from collections.abc import Callable
 from functools import cache
@@ -26,9 +27,16 @@ import equinox as eqx
 import jax
 from jax.experimental import serialize_executable
 
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.jax_private import trace_settings
 from trackwright.trackers.programs.process_settings import give_back
-from trackwright.trackers.programs.program_cache import ProgramStore, compiling_anew, processor
+from trackwright.trackers.programs.program_cache import (
+    ProgramStore,
+    cache_programs,
+    compiling_anew,
+    processor,
+    store_in_use,
+)
 
 OURS = ("trackers", "tuning")
 OTHERS = ("builtins", "collections", "copyreg", "equinox", "functools", "jax", "jaxlib", "numpy")
@@ -192,3 +200,15 @@ def kept_program(
 ) -> Program | None:
     """The compiled `function(model, part)` from the store in use; None without a store, or where it must be traced."""
     return None if _in_use is None else _in_use.program(function, model, part, options)
+
+
+def keep_programs(say: Callable[[str], object]) -> None:
+    """Keeps programs in the user's cache directory; `say` gets a line where that is impossible."""
+    # A program that jax cannot load is compiled and replaced.
+    warnings.filterwarnings("ignore", message="Error reading persistent compilation cache entry")
+    try:
+        cache_programs(report=say)
+    except UnusableInput as problem:
+        say(str(problem))
+    if (store := store_in_use()) is not None:
+        use(store)

@@ -8,12 +8,13 @@ six Bluetooth walks. The visits are made in `tuning/bearing_map.py`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from trackwright.trackers.recordings.input_file import TomlReader
+from trackwright.trackers.recordings.input_file import AS_FILE, NUMBERS, Number
 
 PLACE_SIGMA, VISIT_SIGMA = np.array([0.1, 0.2]), np.array([0.06, 0.15])
 """Standard deviations, rad, of the map of azimuth and of elevation, and of a visit about it."""
@@ -39,40 +40,22 @@ class FloorGrid(NamedTuple):
     unknown: Float[np.ndarray, " 4"]
 
 
-class BearingMap(NamedTuple):
+@dataclass(frozen=True)
+class BearingMap:
     """Visits by station, (V, 4): x and y, m, and the mean errors of azimuth and elevation there, rad.
 
     `gain`: by how much visits left out are more probable with the map of the others, mean in nats.
     """
 
-    gain: float
-    stations: Mapping[str, Float[np.ndarray, "V 4"]]
+    __pydantic_config__: ClassVar = AS_FILE
 
-    @classmethod
-    def read(cls, reader: TomlReader, where: str, content: dict[str, Any]) -> BearingMap:
-        """That in a table of a file, which has exactly its fields; the reader refuses others."""
-        stations = reader.table(f"{where}.stations", content["stations"])
-        if not stations:
-            reader.wrong(f"{where}.stations", stations, "at least one station")
-        visits = {}
-        for name, rows in stations.items():
-            if name not in reader.content["stations"]:
-                reader.refuse(f"{where} has station {name!r}, which is not calibrated, expected [stations.ID] of it")
-            if not isinstance(rows, list) or not rows:
-                reader.wrong(
-                    f"{where}.stations.{name}", rows, "a list of visits [x_m, y_m, azimuth_rad, elevation_rad]"
-                )
-            visits[name] = reader.array(f"{where}.stations.{name}", rows, (len(rows), 4))
-        return cls(reader.number(f"{where}.gain", content["gain"]), visits)
-
-    def content(self) -> dict[str, Any]:
-        """The table of a file."""
-        return {"gain": self.gain, "stations": {name: visits.tolist() for name, visits in self.stations.items()}}
+    gain: Number
+    stations: Mapping[str, Annotated[Float[np.ndarray, "V 4"], NUMBERS]]
 
     def of(self, stations: Sequence[str]) -> BearingMap | None:
         """The part on some stations; None where it has none of them."""
         part = {name: visits for name, visits in self.stations.items() if name in stations}
-        return self._replace(stations=part) if part else None
+        return replace(self, stations=part) if part else None
 
     def key(self, stations: Sequence[str]) -> tuple[bytes, ...]:
         """What tells the map of these stations from others."""

@@ -8,20 +8,22 @@ distances' plus the bias of the first anchor less the second's. The fit is in `t
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import tomli_w
 from jaxtyping import Float
+from pydantic import BeforeValidator, Field
 
-from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Point, Rig, Station
-from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.atomic import atomic_write, json_text
 from trackwright.trackers.recordings.bearing_map import BearingMap
-from trackwright.trackers.recordings.input_file import TomlReader
+from trackwright.trackers.recordings.input_file import AS_FILE, NUMBERS, Count, Number, Positive, read_model
 
 ANGLES = ("azimuth", "elevation")
 ANGLE_TERMS = ("offset", "gain", "cubic", "cross")
@@ -53,16 +55,6 @@ _NEWTON_STEPS, _CONVERGED, _LARGEST_BIAS_M = 20, 1e-10, 10.0
 FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
 
-_TOP = ("format", "recordings", "stations", "anchors", "tags")
-_SPREAD, _MAP = "range_spread_m", "bearing_map"
-_ANGLE_TERMS = ("offset_rad", "gain", "cubic_per_rad2", "cross_per_rad")
-_ANGLE = (*_ANGLE_TERMS, "lowest_rad", "highest_rad", "covariance")
-_STATION, _MOUNTED = ("rows", *ANGLES), ("position_m", "rotation_wxyz")
-_RANGE_TERMS = ("bias_m", "slope")
-_ANCHOR = ("rows", *_RANGE_TERMS, "lowest_m", "highest_m", "covariance")
-_TAG, _OFFSET = ("rows", "bias_m", "standard_error_m"), ("offset_m", "offset_standard_error_m")
-_DIFFERENCES = ("anchors", "rows", "bias_m", "covariance", "position_m", "spread_m")
-
 
 def angle_terms(true: np.ndarray, spans: np.ndarray) -> np.ndarray:
     """The factors (..., 2, 4) of the terms of azimuth and elevation, at true angles (..., 2), rad.
@@ -79,6 +71,21 @@ def range_terms(distances: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(distances), distances], axis=-1)
 
 
+def _station(given: Any) -> Any:
+    """A station from a table of a file."""
+    return Station(np.array(given["position"]), np.array(given["rotation"])) if isinstance(given, dict) else given
+
+
+def _check(covariances: np.ndarray, spans: np.ndarray | None = None) -> None:
+    """Raises UnusableInput for a matrix (n, k, k) that is no covariance, and for a span (n, 2) whose end is first."""
+    for matrix in covariances:
+        symmetric = np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12)
+        if not symmetric or (len(matrix) and np.linalg.eigvalsh(matrix)[0] < -1e-9 * np.trace(matrix)):
+            raise UnusableInput("no covariance, expected a symmetric, positive semidefinite matrix")
+    if spans is not None and (spans[:, 0] > spans[:, 1]).any():
+        raise UnusableInput(f"span = {spans.tolist()}, expected the lowest before the highest")
+
+
 @dataclass(frozen=True)
 class StationCalibration:
     """The terms of a station's azimuth and elevation.
@@ -88,11 +95,16 @@ class StationCalibration:
     `mounted`: where the station stood; None for anywhere.
     """
 
-    coefficients: Float[np.ndarray, "2 4"]
-    covariances: Float[np.ndarray, "2 4 4"]
-    spans: Float[np.ndarray, "2 2"]
-    rows: int = 0
-    mounted: Station | None = None
+    __pydantic_config__: ClassVar = AS_FILE
+
+    coefficients: Annotated[Float[np.ndarray, "2 4"], NUMBERS]
+    covariances: Annotated[Float[np.ndarray, "2 4 4"], NUMBERS]
+    spans: Annotated[Float[np.ndarray, "2 2"], NUMBERS]
+    rows: Count = 0
+    mounted: Annotated[Station | None, BeforeValidator(_station)] = None
+
+    def __post_init__(self) -> None:
+        _check(self.covariances, self.spans)
 
     @property
     def determined(self) -> np.ndarray:
@@ -122,11 +134,21 @@ class AnchorCalibration:
     `position` (3,) m: where the anchor stood; None for anywhere.
     """
 
-    coefficients: Float[np.ndarray, " 2"]
-    covariance: Float[np.ndarray, "2 2"]
-    span: Float[np.ndarray, " 2"]
-    rows: int = 0
-    position: Point | None = None
+    __pydantic_config__: ClassVar = AS_FILE
+
+    coefficients: Annotated[Float[np.ndarray, " 2"], NUMBERS]
+    covariance: Annotated[Float[np.ndarray, "2 2"], NUMBERS]
+    span: Annotated[Float[np.ndarray, " 2"], NUMBERS]
+    rows: Count = 0
+    position: Annotated[Point | None, NUMBERS] = None
+
+    def __post_init__(self) -> None:
+        _check(self.covariance[None], self.span[None])
+        bias, slope = self.coefficients
+        if slope <= -1.0 or abs(bias) > _LARGEST_BIAS_M:
+            raise UnusableInput(
+                f"bias {bias:g} m and slope {slope:g}, expected at most {_LARGEST_BIAS_M:g} m and a slope above -1"
+            )
 
     @property
     def determined(self) -> np.ndarray:
@@ -142,9 +164,11 @@ class TagCalibration:
     ahead and to the left; `offset_sigmas` (2,) m. Zero where the heading of the body is not known.
     """
 
-    bias: float
-    sigma: float
-    rows: int = 0
+    __pydantic_config__: ClassVar = AS_FILE
+
+    bias: Number
+    sigma: Annotated[Number, Field(ge=0.0)]
+    rows: Count = 0
     offset: tuple[float, float] = (0.0, 0.0)
     offset_sigmas: tuple[float, float] = (0.0, 0.0)
 
@@ -158,12 +182,20 @@ class DifferenceCalibration:
     biases leave in differences, m.
     """
 
+    __pydantic_config__: ClassVar = AS_FILE
+
     anchors: tuple[str, ...]
-    biases: Float[np.ndarray, " A"]
-    covariance: Float[np.ndarray, "A A"]
-    positions: Float[np.ndarray, "A 3"]
-    rows: tuple[int, ...]
-    spread: float
+    biases: Annotated[Float[np.ndarray, " A"], NUMBERS]
+    covariance: Annotated[Float[np.ndarray, "A A"], NUMBERS]
+    positions: Annotated[Float[np.ndarray, "A 3"], NUMBERS]
+    rows: tuple[Count, ...]
+    spread: Number
+
+    def __post_init__(self) -> None:
+        lengths = {len(x) for x in (self.anchors, self.biases, self.covariance, self.positions, self.rows)}
+        if len(lengths) > 1 or len({*self.anchors}) < len(self.anchors):
+            raise UnusableInput(f"anchors = {list(self.anchors)}, expected each once, with one of all other entries")
+        _check(self.covariance[None])
 
     def __contains__(self, anchor: str) -> bool:
         return anchor in self.anchors
@@ -199,13 +231,22 @@ class Calibration:
     the stations leave of bearings by place, or None.
     """
 
+    __pydantic_config__: ClassVar = AS_FILE
+
     stations: Mapping[str, StationCalibration] = field(default_factory=dict)
     anchors: Mapping[str, AnchorCalibration] = field(default_factory=dict)
     tags: Mapping[str, TagCalibration] = field(default_factory=dict)
     recordings: tuple[str, ...] = ()
-    range_spread: float | None = None
+    range_spread: Positive | None = None
     differences: DifferenceCalibration = NO_DIFFERENCES
     bearing_map: BearingMap | None = None
+
+    def __post_init__(self) -> None:
+        unknown = {*(self.bearing_map.stations if self.bearing_map else ())} - {*self.stations}
+        if unknown:
+            raise UnusableInput(
+                f"bearing_map has station {min(unknown)!r}, which is not calibrated; expected one that is"
+            )
 
     def at_rest(self, rig: Rig) -> Calibration:
         """The calibration of those stations and anchors of a rig that stand where they stood."""
@@ -323,171 +364,21 @@ def _true(measured: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> Path:
     """Writes the calibration to the file `path`, completely or not at all; raises UnusableInput where it cannot be."""
-    stations = {
-        name: {"rows": station.rows}
-        | ({} if station.mounted is None else _mounting(station.mounted))
-        | {
-            angle: _entries(_ANGLE, station.coefficients[k], station.spans[k], station.covariances[k])
-            for k, angle in enumerate(ANGLES)
-        }
-        for name, station in calibration.stations.items()
-    }
-    anchors = {
-        name: {"rows": anchor.rows}
-        | ({} if anchor.position is None else {"position_m": np.asarray(anchor.position, float).tolist()})
-        | _entries(_ANCHOR[1:], anchor.coefficients, anchor.span, anchor.covariance)
-        for name, anchor in calibration.anchors.items()
-    }
-    content = {
-        "format": FORMAT,
-        "recordings": list(calibration.recordings),
-        **({} if calibration.range_spread is None else {_SPREAD: calibration.range_spread}),
-        **({} if calibration.bearing_map is None else {_MAP: calibration.bearing_map.content()}),
-        "stations": stations,
-        "anchors": anchors,
-        "tags": {
-            name: dict(zip(_TAG, (tag.rows, tag.bias, tag.sigma), strict=True))
-            | (
-                dict(zip(_OFFSET, map(list, (tag.offset, tag.offset_sigmas)), strict=True))
-                if any(tag.offset_sigmas)
-                else {}
-            )
-            for name, tag in calibration.tags.items()
-        },
-    }
-    known = calibration.differences
-    if known.anchors:
-        arrays = known.biases, known.covariance, known.positions
-        values = [list(known.anchors), list(known.rows), *(x.tolist() for x in arrays), known.spread]
-        content["tdoa"] = dict(zip(_DIFFERENCES, values, strict=True))
-    text = COMMENT + tomli_w.dumps(content)
+    content = asdict(calibration)
+    if not calibration.differences.anchors:
+        del content["differences"]
+    text = COMMENT + tomli_w.dumps({"format": FORMAT, **json.loads(json_text(_given(content)))})
     return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def _mounting(station: Station) -> dict[str, list[float]]:
-    values = (np.asarray(value, float).tolist() for value in (station.position, station.rotation))
-    return dict(zip(_MOUNTED, values, strict=True))
-
-
-def _entries(names: Sequence[str], terms: np.ndarray, span: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
-    return dict(zip(names, [*terms.tolist(), *span.tolist(), covariance.tolist()], strict=True))
+def _given(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The table without keys that have no value."""
+    return {
+        key: _given(value) if isinstance(value, Mapping) else value for key, value in table.items() if value is not None
+    }
 
 
 def read_calibration(path: str | Path) -> Calibration:
     """The calibration in a `calibration.toml`; raises UnusableInput for content that `calibrate` does not write."""
-    expected, fix = "the calibration.toml of `trackwright calibrate`", "write it with `trackwright calibrate`"
-    return _Reader(Path(path), expected, fix).calibration()
-
-
-class _Reader(TomlReader):
-    """Converts a `calibration.toml` into a `Calibration`."""
-
-    def calibration(self) -> Calibration:
-        self.of_format(FORMAT)
-        content = self.content
-        optional = (_SPREAD, _MAP, "tdoa")
-        spread, by_place, differences = ((key,) if key in content else () for key in optional)
-        self.exactly(content, (*_TOP, *spread, *by_place, *differences), "the top level")
-        names = content["recordings"]
-        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            self.wrong("recordings", names, "a list of names")
-        stations, anchors, tags = (self.table(key, content[key]) for key in ("stations", "anchors", "tags"))
-        if not stations and not anchors and not differences:
-            self.refuse("neither a station nor an anchor, expected [stations.ID], [anchors.ID] or [tdoa]")
-        if spread and self.number(_SPREAD, content[_SPREAD]) <= 0.0:
-            self.wrong(_SPREAD, content[_SPREAD], "a number above zero")
-        return Calibration(
-            {name: self.station(f"stations.{name}", entry) for name, entry in stations.items()},
-            {name: self.anchor(f"anchors.{name}", entry) for name, entry in anchors.items()},
-            {name: self.tag(f"tags.{name}", entry) for name, entry in tags.items()},
-            tuple(names),
-            float(content[_SPREAD]) if spread else None,
-            self.differences(self.table("tdoa", content["tdoa"])) if differences else NO_DIFFERENCES,
-            self.part(_MAP, BearingMap) if by_place else None,
-        )
-
-    def station(self, where: str, content: Any) -> StationCalibration:
-        mounted = _MOUNTED if any(key in self.table(where, content) for key in _MOUNTED) else ()
-        self.exactly(content, (*_STATION, *mounted), f"[{where}]")
-        parts = []
-        for angle in ANGLES:
-            table = self.table(f"{where}.{angle}", content[angle])
-            self.exactly(table, _ANGLE, f"[{where}.{angle}]")
-            parts.append(self.terms(f"{where}.{angle}", table, _ANGLE_TERMS, ("lowest_rad", "highest_rad")))
-        terms, spans, covariances = (np.stack(x) for x in zip(*parts, strict=True))
-        at = [self.array(f"{where}.{key}", content[key], (size,)) for key, size in zip(mounted, (3, 4), strict=False)]
-        mounting = Station(at[0], at[1]) if at else None
-        return StationCalibration(terms, covariances, spans, self.rows(where, content["rows"]), mounting)
-
-    def anchor(self, where: str, content: Any) -> AnchorCalibration:
-        placed = ("position_m",) if "position_m" in self.table(where, content) else ()
-        self.exactly(content, (*_ANCHOR, *placed), f"[{where}]")
-        terms, span, covariance = self.terms(where, content, _RANGE_TERMS, ("lowest_m", "highest_m"))
-        if terms[1] <= -1.0:
-            self.wrong(f"{where}.slope", content["slope"], "a number above -1")
-        if abs(terms[0]) > _LARGEST_BIAS_M:
-            self.wrong(f"{where}.bias_m", content["bias_m"], f"at most {_LARGEST_BIAS_M:g} m: looks like millimetres")
-        position = self.array(f"{where}.position_m", content["position_m"], (3,)) if placed else None
-        return AnchorCalibration(terms, covariance, span, self.rows(where, content["rows"]), position)
-
-    def tag(self, where: str, content: Any) -> TagCalibration:
-        placed = _OFFSET if any(key in self.table(where, content) for key in _OFFSET) else ()
-        self.exactly(content, (*_TAG, *placed), f"[{where}]")
-        bias, sigma = (self.number(f"{where}.{key}", content[key]) for key in _TAG[1:])
-        if sigma < 0.0:
-            self.wrong(f"{where}.standard_error_m", sigma, "a number of zero or more")
-        offsets = [tuple(self.array(f"{where}.{key}", content[key], (2,)).tolist()) for key in placed]
-        return TagCalibration(bias, sigma, self.rows(where, content["rows"]), *offsets)
-
-    def part(self, key: str, kind: Any) -> Any:
-        table = self.table(key, self.content[key])
-        self.exactly(table, kind._fields, f"[{key}]")
-        return kind.read(self, key, table)
-
-    def differences(self, content: dict[str, Any]) -> DifferenceCalibration:
-        self.exactly(content, _DIFFERENCES, "[tdoa]")
-        names, rows = content["anchors"], content["rows"]
-        if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-            self.wrong("tdoa.anchors", names, "a list of names")
-        if len(set(names)) < len(names):
-            self.wrong("tdoa.anchors", names, "each name once")
-        if not isinstance(rows, list) or len(rows) != len(names):
-            self.wrong("tdoa.rows", rows, f"a list of {len(names)} counts")
-        if self.number("tdoa.spread_m", content["spread_m"]) <= 0.0:
-            self.wrong("tdoa.spread_m", content["spread_m"], "a number above zero")
-        return DifferenceCalibration(
-            tuple(names),
-            self.array("tdoa.bias_m", content["bias_m"], (len(names),)),
-            self.covariance("tdoa.covariance", content["covariance"], len(names)),
-            self.array("tdoa.position_m", content["position_m"], (len(names), 3)),
-            tuple(self.rows("tdoa", count) for count in rows),
-            float(content["spread_m"]),
-        )
-
-    def terms(
-        self, where: str, table: dict[str, Any], names: Sequence[str], ends: tuple[str, str]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The terms, their span and their covariance."""
-        terms, span = (np.array([self.number(f"{where}.{name}", table[name]) for name in n]) for n in (names, ends))
-        if span[0] > span[1]:
-            self.refuse(f"{where}.{ends[0]} = {span[0]:.6g} is above {ends[1]} = {span[1]:.6g}, expected it below")
-        return terms, span, self.covariance(f"{where}.covariance", table["covariance"], len(names))
-
-    def covariance(self, where: str, value: Any, size: int) -> np.ndarray:
-        covariance = self.array(where, value, (size, size))
-        symmetric = np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12)
-        if not symmetric or np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.trace(covariance):
-            self.refuse(f"{where} is no covariance, expected a symmetric, positive semidefinite matrix")
-        return covariance
-
-    def rows(self, where: str, value: Any) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-            self.wrong(f"{where}.rows", value, "a count")
-        return value
-
-    def exactly(self, content: Mapping[str, Any], expected: tuple[str, ...], where: str) -> None:
-        unknown = [key for key in content if key not in expected]
-        lacking = [key for key in expected if key not in content]
-        if unknown or lacking:
-            fault = f"unknown key {unknown[0]!r}" if unknown else f"no {lacking[0]}"
-            self.refuse(f"{where} has {fault}, expected {listed(expected, len(expected))}")
+    expected = f"the calibration.toml of `trackwright calibrate`, format = {FORMAT}"
+    return read_model(Path(path), Calibration, expected, "write it with `trackwright calibrate`", FORMAT)

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import difflib
 import errno
 import gzip
 import hashlib
 import io
-import math
 import os
 import re
+import reprlib
 import stat
 import tomllib
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -123,28 +125,60 @@ def read_toml(path: Path, expected: str) -> dict[str, Any]:
         ) from error
 
 
-def read_model(path: Path, model: type[T], expected: str) -> T:
-    """The content of a TOML file as a dataclass, whose fields are its schema; raises UnusableInput with the key.
+AS_FILE = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
+"""Of a dataclass whose fields are the keys of a file."""
 
-    `expected`: the content in words.
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+Positive = Annotated[Number, Field(gt=0.0)]
+Count = Annotated[int, Field(strict=True, ge=0)]
+"""Numbers of a file: finite, and of at most `LARGEST_NUMBER` in size."""
+
+
+def _numbers(value: Any) -> Any:
+    if not isinstance(value, list):
+        return value
+    array = np.array(value)
+    if array.dtype.kind not in "if" or not (np.abs(array) <= LARGEST_NUMBER).all():
+        raise ValueError(f"= {reprlib.repr(value)}, expected finite numbers, at most {LARGEST_NUMBER:g} in size")
+    return array.astype(float)
+
+
+NUMBERS = BeforeValidator(_numbers)
+"""Turns lists of a file into an array, of a dataclass's field."""
+
+
+def read_model(path: Path, model: type[T], expected: str, fix: str = "", version: int | None = None) -> T:
+    """The content of a TOML file as a pydantic model or a dataclass; raises UnusableInput with the key.
+
+    `expected`: the content in words. `fix`: the usual remedy, which ends a refusal. `version`: the file's `format`.
     """
-    # Few commands read such a file, and the import takes a tenth of a second.
-    from pydantic import TypeAdapter, ValidationError
-
     content = read_toml(path, expected)
+    if version is not None and (given := content.pop("format", None)) is not version:
+        found = "no format" if given is None else f"format = {given!r}"
+        raise UnusableInput(f"{path}: {found}, expected {expected}; {fix or 'correct it'}")
     try:
         return TypeAdapter(model).validate_python(content)
     except ValidationError as problem:
         error = problem.errors(include_url=False)[0]
-    place = "".join(
-        f" {part + 1}" if isinstance(part, int) else f".{part}" for part in error["loc"] if part != "[key]"
-    )[1:]
+    parts = (f" {part + 1}" if isinstance(part, int) else f".{part}" for part in error["loc"] if part != "[key]")
+    place, kind, value = "".join(parts).removeprefix("."), error["type"], error["input"]
+    ending = f"; {fix or f'{path.name} has {expected}'}"
     if "error" in error.get("ctx", {}):
-        raise UnusableInput(f"{path}: {place + ': ' if place else ''}{error['ctx']['error']}")
-    said = {"missing": "is missing", "unexpected_keyword_argument": "is no key of it"}
-    expects = error["msg"].replace("Input should be", "expected").replace(" or an instance of", " as of")
-    found = said.get(error["type"], f"= {repr(error['input'])[:60]}, {expects}")
-    raise UnusableInput(f"{path}: {place} {found}; {path.name} has {expected}")
+        said = str(error["ctx"]["error"])
+        raise UnusableInput(f"{path}: {place}{' ' if said.startswith('=') else ': ' * bool(place)}{said}{ending}")
+    if kind == "missing":
+        key = str(error["loc"][-1])
+        others = difflib.get_close_matches(key, [str(other) for other in value], 1, 0.7)
+        raise UnusableInput(f"{path}: {place} is missing{f', found {others[0]}' if others else ''}{ending}")
+    unknown = kind in ("unexpected_keyword_argument", "extra_forbidden")
+    expects = error["msg"].replace("Input should be", "expected").replace("a valid dictionary", "a table")
+    expects = re.sub(r" or (an )?(instance|object) .*", "", expects)
+    expects = re.sub(r"\w+ should have (.*) after validation.*", r"expected \1", expects)
+    expects = re.sub(r"an instance of Float\[ndarray, '(.*)'\]", r"numbers of shape \1", expects)
+    value = value.tolist() if isinstance(value, np.ndarray) else value
+    raise UnusableInput(
+        f"{path}: {place} {'is no key of it' if unknown else f'= {reprlib.repr(value)}, {expects}'}{ending}"
+    )
 
 
 def _given_twice(text: str, reason: str) -> str:
@@ -156,57 +190,3 @@ def _given_twice(text: str, reason: str) -> str:
     number = int(at[1] or len(lines))
     key = lines[number - 1].partition("=")[0].strip(" \t[]")
     return f"line {number}: {key} is given twice"
-
-
-class TomlReader:
-    """The content of a TOML file, whose values are refused with their key where they are not what is expected.
-
-    `content`: of the file. `fix`: the usual remedy, which ends each refusal. Raises UnusableInput as `read_toml`.
-    """
-
-    def __init__(self, path: Path, expected: str, fix: str = "") -> None:
-        self.path, self.expected, self.fix = path, expected, fix
-        self.content = read_toml(path, expected)
-
-    def refuse(self, what: str, fix: str = "") -> NoReturn:
-        """Raises UnusableInput."""
-        raise UnusableInput("; ".join(text for text in (f"{self.path}: {what}", fix or self.fix) if text))
-
-    def wrong(self, where: str, value: Any, expected: str) -> NoReturn:
-        """Raises UnusableInput for the value of a key."""
-        shown = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
-        self.refuse(f"{where} = {shown}, expected {expected}")
-
-    def of_format(self, version: int) -> None:
-        """Refuses a file whose `format` is another one."""
-        given = self.content.get("format")
-        if given != version or isinstance(given, bool):
-            was = "no `format`" if given is None else f"format = {given!r}"
-            self.refuse(f"{was}, expected `format = {version}` for {self.expected}", self.fix or "correct it")
-
-    def table(self, where: str, value: Any) -> dict[str, Any]:
-        """A value that is a table."""
-        if not isinstance(value, dict):
-            self.wrong(where, value, f"a table [{where}]")
-        return value
-
-    def number(self, where: str, value: Any) -> float:
-        """A finite number of at most `LARGEST_NUMBER` in size."""
-        return float(self.array(where, value, ()))
-
-    def array(self, where: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-        """Lists of so many finite numbers, as an array."""
-        if not _has_shape(value, shape):
-            of = {0: "a finite number", 1: "a list of {} finite numbers", 2: "{} lists of {} finite numbers"}
-            expected = of[len(shape)].format(*shape)
-            self.wrong(where, value, f"{expected}, at most {LARGEST_NUMBER:g} in size")
-        return np.array(value, float)
-
-
-def _has_shape(value: Any, shape: tuple[int, ...]) -> bool:
-    if shape:
-        return isinstance(value, list) and len(value) == shape[0] and all(_has_shape(x, shape[1:]) for x in value)
-    try:
-        return not isinstance(value, bool | str) and math.isfinite(value) and abs(value) <= LARGEST_NUMBER
-    except (TypeError, OverflowError):
-        return False

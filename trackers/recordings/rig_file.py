@@ -5,15 +5,17 @@ from __future__ import annotations
 import difflib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from jaxtyping import Float
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from trackwright.trackers.core.errors import UnusableInput, has_control
-from trackwright.trackers.core.model.rig import Rig, Station, Tag, checked_knots
-from trackwright.trackers.recordings.input_file import TomlReader
+from trackwright.trackers.core.model.rig import Point, Rig, Station, Tag, checked_knots
+from trackwright.trackers.recordings.input_file import NUMBERS, Number, read_model
 
 FORMAT = 1
 RIG_FILE = "rig.toml"
@@ -21,10 +23,108 @@ HIGHEST = 1e5  # metres, of a tag
 SHORTEST = 1e-6  # wavelength, m: of light
 NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
 
-_TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "bodies", "path", "floor")
-_ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
-_STATION = ("position_m", "rotation_wxyz", *_ANGLES, "wavelength_m", "antennas_m")
-_TAG = ("height_m", "offset_m")
+
+Vector = Annotated[Point, NUMBERS]
+Quaternion = Annotated[Float[np.ndarray, " 4"], NUMBERS]
+Points = Annotated[Float[np.ndarray, "n 2"], NUMBERS]
+Walls = Annotated[Float[np.ndarray, "n 4"], NUMBERS]
+
+
+class _Table(BaseModel):
+    """A table of rig.toml; unknown keys are told, since files are written by hand."""
+
+    model_config = ConfigDict(extra="allow", arbitrary_types_allowed=True)
+
+
+def _unit(rotation: np.ndarray) -> np.ndarray:
+    norm = float(np.linalg.norm(rotation))
+    if abs(norm - 1) > NORM_TOLERANCE:
+        frames = "w, x, y, z from array frame to world frame"
+        raise ValueError(f"has length {norm:.4g}, expected a unit quaternion {frames}; no rotation is [1, 0, 0, 0]")
+    return rotation / norm
+
+
+class _Station(_Table):
+    position_m: Vector
+    rotation_wxyz: Annotated[Quaternion, AfterValidator(_unit)] | None = None
+    yaw_deg: Number | None = None
+    pitch_deg: Number | None = None
+    roll_deg: Number | None = None
+    wavelength_m: Annotated[Number, Field(ge=SHORTEST)] | None = None
+    antennas_m: Annotated[Points, Field(min_length=2)] | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> _Station:
+        angles = [self.yaw_deg, self.pitch_deg, self.roll_deg]
+        if self.rotation_wxyz is None and self.yaw_deg is None:
+            raise ValueError("has no attitude, expected rotation_wxyz, or yaw_deg instead")
+        if self.rotation_wxyz is not None and angles != [None, None, None]:
+            raise ValueError("has rotation_wxyz and yaw_deg, pitch_deg or roll_deg, expected one of them")
+        if (self.antennas_m is None) != (self.wavelength_m is None):
+            has, lacks = ("antennas_m", "wavelength_m")[:: -1 if self.antennas_m is None else 1]
+            raise ValueError(f"has {has} but no {lacks}; a station with phases needs both")
+        return self
+
+    def station(self) -> Station:
+        angles = np.deg2rad([self.yaw_deg or 0.0, self.pitch_deg or 0.0, self.roll_deg or 0.0])
+        rotation = mounted(*angles) if self.rotation_wxyz is None else self.rotation_wxyz
+        return Station(self.position_m, rotation, self.antennas_m, self.wavelength_m)
+
+
+class _Tag(_Table):
+    height_m: Annotated[Number, Field(ge=-HIGHEST, le=HIGHEST)] | None = None
+    offset_m: Vector | None = None
+
+
+class _Body(_Table):
+    tags: Annotated[list[str], Field(min_length=2)]
+
+
+class _Path(_Table):
+    knots_m: Annotated[Points, AfterValidator(checked_knots)]
+
+
+class _Floor(_Table):
+    walls_m: Annotated[Walls, Field(min_length=1)] | None = None
+    outline_m: Annotated[Points, Field(min_length=3)] | None = None
+
+    @model_validator(mode="after")
+    def _any(self) -> _Floor:
+        if self.walls_m is None and self.outline_m is None:
+            raise ValueError("has neither walls_m nor outline_m, lists of [x1, y1, x2, y2] and of [x, y] in metres")
+        return self
+
+
+def _plain(name: str) -> str:
+    if has_control(name):
+        raise ValueError(f"{name!r} has a control character; expected a name without")
+    return name
+
+
+_Name = Annotated[str, AfterValidator(_plain)]
+
+
+class _RigFile(_Table):
+    name: _Name = ""
+    about: str = ""
+    licence: str = ""
+    source: str = ""
+    anchors: dict[_Name, Vector] = {}
+    stations: dict[_Name, _Station] = {}
+    tags: dict[_Name, _Tag] = {}
+    bodies: dict[_Name, _Body] = {}
+    path: _Path | None = None
+    floor: _Floor | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> _RigFile:
+        carried = [(body, tag) for body, on_it in self.bodies.items() for tag in on_it.tags]
+        for k, (body, tag) in enumerate(carried):
+            if tag not in self.tags or self.tags[tag].offset_m is None:
+                raise ValueError(f"bodies.{body}.tags names {tag!r}, which has no offset_m under [tags.{tag}]; add it")
+            if any(tag == other for _, other in carried[:k]):
+                raise ValueError(f"bodies.{body}.tags names {tag!r} again; expected each tag on one body, once")
+        return self
 
 
 def read_rig(path: Path) -> tuple[Rig, tuple[str, ...]]:
@@ -33,136 +133,34 @@ def read_rig(path: Path) -> tuple[Rig, tuple[str, ...]]:
         raise UnusableInput(
             f"{path}: missing, expected beside the tables, with `format = {FORMAT}`, a name and the geometry; add it"
         )
-    reader = _Reader(path, "the geometry of a recording")
-    return reader.rig(), tuple(reader.notices)
+    file = read_model(path, _RigFile, f"the geometry of a recording, format = {FORMAT}", "correct it", FORMAT)
+    parts: dict[str, Mapping[str, _Table]] = {"stations": file.stations, "tags": file.tags, "bodies": file.bodies}
+    tables: dict[str, _Table | None] = {"the top level": file, "[path]": file.path, "[floor]": file.floor}
+    tables |= {f"[{kind}.{name}]": table for kind, part in parts.items() for name, table in part.items()}
+    rig = Rig(
+        name=file.name or path.resolve().parent.name,
+        anchors=file.anchors,
+        stations={name: station.station() for name, station in file.stations.items()},
+        tags={name: Tag(tag.height_m, tag.offset_m) for name, tag in file.tags.items()},
+        bodies={name: tuple(body.tags) for name, body in file.bodies.items()},
+        path_knots=file.path.knots_m if file.path else None,
+        walls=file.floor.walls_m if file.floor else None,
+        outline=file.floor.outline_m if file.floor else None,
+        about=file.about,
+        licence=file.licence,
+        source=file.source,
+    )
+    unknown = ((key, where, table) for where, table in tables.items() if table for key in table.model_extra or ())
+    return rig, tuple(_notice(path, *found) for found in unknown)
 
 
-class _Reader(TomlReader):
-    """Converts a `rig.toml` into a `Rig`; `notices`: a line for each unknown key."""
-
-    def __init__(self, path: Path, expected: str) -> None:
-        super().__init__(path, expected)
-        self.notices: list[str] = []
-
-    def rig(self) -> Rig:
-        self.of_format(FORMAT)
-        content = self.content
-        self.known(content, _TOP, "the top level")
-        texts = {key: content.get(key, "") for key in ("name", "about", "licence", "source")}
-        for key, text in texts.items():
-            if not isinstance(text, str):
-                self.wrong(key, text, "a text in quotes")
-        anchors, stations, tags, bodies, path, floor = (
-            self.table(key, content.get(key, {})) for key in ("anchors", "stations", "tags", "bodies", "path", "floor")
-        )
-        for text in (texts["name"], *anchors, *stations, *tags, *bodies):
-            if has_control(text):
-                self.refuse(f"{text!r} has a control character; expected a name without")
-        self.known(path, ("knots_m",), "[path]")
-        if "path" in content and "knots_m" not in path:
-            self.refuse("[path] has no knots_m, expected a list of [x, y] corners in metres")
-        self.known(floor, ("walls_m", "outline_m"), "[floor]")
-        if "floor" in content and not floor.keys() & {"walls_m", "outline_m"}:
-            self.refuse(
-                "[floor] has neither walls_m nor outline_m, expected lists of [x1, y1, x2, y2] and of [x, y] corners "
-                "in metres"
-            )
-        return Rig(
-            name=texts.pop("name") or self.path.resolve().parent.name,
-            anchors={key: self.array(f"anchors.{key}", place, (3,)) for key, place in anchors.items()},
-            stations={key: self.station(f"stations.{key}", v) for key, v in stations.items()},
-            tags={key: self.tag(f"tags.{key}", v) for key, v in tags.items()},
-            bodies=self.bodies(bodies, tags),
-            path_knots=self.knots(path["knots_m"]) if path else None,
-            walls=self.points("floor.walls_m", floor["walls_m"], 4, 1) if "walls_m" in floor else None,
-            outline=self.points("floor.outline_m", floor["outline_m"], 2, 3) if "outline_m" in floor else None,
-            **texts,
-        )
-
-    def station(self, where: str, content: Any) -> Station:
-        self.known(self.table(where, content), _STATION, f"[{where}]")
-        for key, named in (("position_m", ("position_m",)), ("rotation_wxyz", ("rotation_wxyz", "yaw_deg"))):
-            if not any(name in content for name in named):
-                self.refuse(f"[{where}] has no {key}, expected position_m and rotation_wxyz, or yaw_deg instead")
-        rotation = self.rotation(where, content)
-        antennas = wavelength = None
-        given = [key for key in ("antennas_m", "wavelength_m") if key in content]
-        if len(given) == 1:
-            lack = "wavelength_m" if given == ["antennas_m"] else "antennas_m"
-            self.refuse(f"[{where}] has {given[0]} but no {lack}; a station with phases needs both")
-        if "antennas_m" in content:
-            antennas = self.points(f"{where}.antennas_m", content["antennas_m"])
-            wavelength = self.number(f"{where}.wavelength_m", content["wavelength_m"])
-            if wavelength < SHORTEST:
-                self.wrong(f"{where}.wavelength_m", wavelength, f"a length of at least {SHORTEST:g} m")
-        position = self.array(f"{where}.position_m", content["position_m"], (3,))
-        return Station(position=position, rotation=rotation, antennas=antennas, wavelength=wavelength)
-
-    def rotation(self, where: str, content: dict[str, Any]) -> np.ndarray:
-        """The unit quaternion of a station, given as such or by yaw, pitch and roll."""
-        angles = {key: self.number(f"{where}.{key}", content[key]) for key in _ANGLES if key in content}
-        if "rotation_wxyz" not in content:
-            return mounted(*np.deg2rad([angles.get(key, 0.0) for key in _ANGLES]))
-        if angles:
-            self.refuse(f"[{where}] has rotation_wxyz and {next(iter(angles))}, expected one of them")
-        rotation = self.array(f"{where}.rotation_wxyz", content["rotation_wxyz"], (4,))
-        norm = float(np.linalg.norm(rotation))
-        if abs(norm - 1) > NORM_TOLERANCE:
-            self.refuse(
-                f"{where}.rotation_wxyz has length {norm:.4g}, expected a unit quaternion w, x, y, z "
-                "(array frame to world frame); no rotation is [1, 0, 0, 0]"
-            )
-        return rotation / norm
-
-    def tag(self, where: str, content: Any) -> Tag:
-        self.known(self.table(where, content), _TAG, f"[{where}]")
-        height = self.number(f"{where}.height_m", content["height_m"]) if "height_m" in content else None
-        if height is not None and abs(height) > HIGHEST:
-            self.wrong(f"{where}.height_m", height, f"metres, at most {HIGHEST:g}")
-        return Tag(
-            height=height,
-            offset=self.array(f"{where}.offset_m", content["offset_m"], (3,)) if "offset_m" in content else None,
-        )
-
-    def bodies(self, content: dict[str, Any], tags: dict[str, Any]) -> dict[str, tuple[str, ...]]:
-        """The tags of each body, each with a place on it, and on one body alone."""
-        bodies: dict[str, tuple[str, ...]] = {}
-        for key, body in content.items():
-            where = f"bodies.{key}"
-            self.known(self.table(where, body), ("tags",), f"[{where}]")
-            names = body.get("tags")
-            if not isinstance(names, list) or len(names) < 2 or not all(isinstance(name, str) for name in names):
-                self.wrong(f"{where}.tags", names, "a list of at least two tags")
-            for name in names:
-                if "offset_m" not in tags.get(name, {}):
-                    self.refuse(f"{where}.tags names {name!r}, which has no offset_m under [tags.{name}]; add it")
-                if any(name in other for other in bodies.values()):
-                    self.refuse(f"{where}.tags names {name!r}, which is on another body; expected each tag on one")
-            bodies[key] = tuple(names)
-        return bodies
-
-    def knots(self, value: Any) -> np.ndarray:
-        knots = self.points("path.knots_m", value)
-        try:
-            return checked_knots(knots)
-        except ValueError as problem:
-            self.refuse(f"path.knots_m: {problem}")
-
-    def points(self, where: str, value: Any, size: int = 2, least: int = 2) -> np.ndarray:
-        if not isinstance(value, list) or len(value) < least:
-            counts, names = {1: "one", 2: "two", 3: "three"}, {2: "[x, y]", 4: "[x1, y1, x2, y2]"}
-            self.wrong(where, value, f"a list of at least {counts[least]} {names[size]} in metres")
-        return np.stack([self.array(f"{where}[{i}]", point, (size,)) for i, point in enumerate(value)])
-
-    def known(self, content: Iterable[str], expected: tuple[str, ...], where: str) -> None:
-        """Refuses a key that looks misspelt; adds a notice for any other unknown key."""
-        for key in content:
-            if key in expected:
-                continue
-            near = difflib.get_close_matches(key.lower(), [e for e in expected if e not in content], 1, 0.7)
-            if near:
-                self.refuse(f"unknown key {key!r} in {where}, expected {near[0]}; rename it")
-            self.notices.append(f"{RIG_FILE}: key {key!r} in {where} is not part of the format and was ignored")
+def _notice(path: Path, key: str, where: str, table: BaseModel) -> str:
+    """The notice of an unknown key; raises UnusableInput for one that looks misspelt."""
+    absent = [name for name in type(table).model_fields if name not in table.model_fields_set]
+    near = difflib.get_close_matches(key.lower(), absent, 1, 0.7)
+    if near:
+        raise UnusableInput(f"{path}: unknown key {key!r} in {where}, expected {near[0]}; rename it")
+    return f"{RIG_FILE}: key {key!r} in {where} is not part of the format and was ignored"
 
 
 def mounted(yaw: float, pitch: float, roll: float) -> np.ndarray:
@@ -172,7 +170,8 @@ def mounted(yaw: float, pitch: float, roll: float) -> np.ndarray:
     left, then about its own horizontal axis by pitch, downwards, then about its boresight by roll: Rz Ry Rx of a body
     with x ahead, y left and z up.
     """
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll / 2, pitch / 2, yaw / 2]), np.sin([roll / 2, pitch / 2, yaw / 2])
+    half = np.array([roll, pitch, yaw]) / 2
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
     w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
     y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
     # Times (1, 1, 1, 1)/2: the array's x is left, y up and z ahead.

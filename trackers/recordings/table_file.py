@@ -1,9 +1,6 @@
 """Reader of one table file, CSV or Parquet: its raw columns, and the location of each row for messages.
 
-Columns of CSV are text, of Parquet typed; `trackers.recordings.tables` checks and converts them. What the footer
-and the pages of a Parquet file claim is compared with the bytes that are there, since polars aborts the process where a
-changed byte claims 10¹⁸ values. Both are structures in Thrift's compact protocol; their fields are numbered as in
-Apache Parquet's `parquet.thrift`.
+Columns of CSV are text, of Parquet typed; `trackers.recordings.tables` checks and converts them.
 """
 
 from __future__ import annotations
@@ -19,26 +16,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, unpacked
+from trackwright.trackers.recordings.input_file import file_bytes, unpacked
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _one_at_a_time = threading.Lock()  # the error stream belongs to the whole process
-_CELL = 8  # bytes of a value in memory
 _GZIP_MAGIC = b"\x1f\x8b"
 MARK = b"PAR1"
-_TAIL = 4 + len(MARK)
-_SCHEMA, _ROWS, _GROUPS = 2, 3, 4  # fields of the footer, of a group of rows, of a column in it, of the schema
-_GROUP_COLUMNS, _GROUP_ROWS = 1, 3
-_COLUMN, _VALUES, _UNPACKED, _PACKED = 3, 5, 6, 7
-_CHILDREN = 5
-_PAGES_AT, _DICTIONARY_AT = 9, 11  # of a column in a group
-_PAGE_PACKED, _PAGES, _PAGE_VALUES = 3, (5, 7, 8), 1  # of the header of a page: its data or dictionary
-
 
 _DATE = re.compile(r"\d{1,4}([-/.])(?:\d{1,2}|[A-Za-z]{3})\1\d{1,4}(?:[T ]|$)")
 _CLOCK = re.compile(r"\d{1,2}:\d\d(?::|$)")
@@ -112,23 +99,15 @@ def _content(path: Path) -> bytes:
 
 
 def read_parquet(path: Path) -> pl.DataFrame:
-    """The columns of a Parquet file; raises UnusableInput for a broken file, and beyond `LARGEST`, by its footer."""
+    """The columns of a Parquet file; raises UnusableInput for a broken file."""
     data = _content(path)
     if not data.startswith(MARK) or not data.endswith(MARK):
         raise UnusableInput(f"{path}: is not a complete Parquet file (start or end mark missing); write it again")
     try:
-        footer = read_footer(data)
-        if max(footer.rows * footer.columns, footer.values) * _CELL <= LARGEST and footer.unpacked <= LARGEST:
-            for part in footer.parts:
-                _check_pages(data, part)
-            with _native_code_silenced():
-                return pl.read_parquet(io.BytesIO(data))
+        with _native_code_silenced():
+            return pl.read_parquet(io.BytesIO(data))
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
         raise UnusableInput(f"{path}: is a broken Parquet file ({str(error)[:100]}); write it again") from error
-    raise UnusableInput(
-        f"{path}: has {footer.rows:,} rows of {footer.columns} columns, expected at most {LARGEST // _CELL:,} values, "
-        f"{LARGEST / 1e9:.1f} GB unpacked; split it"
-    )
 
 
 @contextmanager
@@ -221,124 +200,3 @@ def _row_by_row(path: Path, names: list[str], text: str) -> TableFile:
     except csv.Error as error:
         raise UnusableInput(f"{path}: line {reader.line_num} is not CSV ({error}); check the quotes") from error
     return TableFile(path, pl.DataFrame(rows, schema=dict.fromkeys(names, pl.String), orient="row"), lines)
-
-
-class Footer(NamedTuple):
-    """Rows, columns, values of all columns, and their bytes unpacked; `parts`: each column in each group of rows."""
-
-    rows: int
-    columns: int
-    values: int
-    unpacked: int
-    parts: list[dict[int, Any]]
-
-
-def read_footer(data: bytes) -> Footer:
-    """The claims of the footer of a Parquet file.
-
-    Raises ValueError where it is cut short, or contradicts itself or the size of the file.
-    """
-    size = int.from_bytes(data[-_TAIL : -len(MARK)], "little")
-    if size > len(data) - len(MARK) - _TAIL:
-        raise ValueError("its footer is longer than the file")
-    try:
-        content = _Compact(data[len(data) - _TAIL - size : -_TAIL]).struct()
-        rows = _count(content, _ROWS)
-        groups = [(_count(group, _GROUP_ROWS), group[_GROUP_COLUMNS]) for group in content.get(_GROUPS, [])]
-        columns = sum(_CHILDREN not in element for element in content[_SCHEMA])
-        chunks = [chunk[_COLUMN] for _, group_columns in groups for chunk in group_columns]
-        values, unpacked, packed = (sum(_count(c, field) for c in chunks) for field in (_VALUES, _UNPACKED, _PACKED))
-    except (LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError("its footer is damaged") from error
-    if rows != sum(group_rows for group_rows, _ in groups):
-        raise ValueError(f"its footer has {rows:,} rows, its parts {sum(group_rows for group_rows, _ in groups):,}")
-    if packed > len(data):
-        raise ValueError(f"its columns have {packed:,} bytes, the file {len(data):,}")
-    return Footer(rows, columns, values, unpacked, chunks)
-
-
-def _check_pages(data: bytes, column: dict[int, Any]) -> None:
-    """Raises ValueError where the pages of a column, in a group of rows, claim more values than it has."""
-    try:
-        at, first = _count(column, _PAGES_AT), column.get(_DICTIONARY_AT, 0)
-        at = first if 0 < first < at else at
-        values, end = _count(column, _VALUES), at + _count(column, _PACKED)
-        while at < end:
-            reader = _Compact(memoryview(data)[at:end])
-            header = reader.struct()
-            if any(_count(header[page], _PAGE_VALUES) > values for page in _PAGES if page in header):
-                raise ValueError("its pages are damaged")
-            at += reader.at + _count(header, _PAGE_PACKED)
-    except (LookupError, TypeError, RecursionError) as error:
-        raise ValueError("its pages are damaged") from error
-
-
-def _count(struct: dict[int, Any], field: int) -> int:
-    number = struct[field]
-    if not isinstance(number, int) or number < 0:
-        raise ValueError("its footer is damaged")
-    return number
-
-
-class _Compact:
-    """A reader of Thrift's compact protocol; structures are dictionaries by the number of the field.
-
-    Raises LookupError beyond the end, and for the types that no footer has. A list cannot claim more elements than
-    there are bytes.
-    """
-
-    def __init__(self, data: bytes | memoryview) -> None:
-        self.data, self.at = data, 0
-
-    def struct(self) -> dict[int, Any]:
-        fields: dict[int, Any] = {}
-        field = 0
-        while head := self.byte():
-            field = field + (head >> 4) if head >> 4 else self.integer()
-            kind = head & 15
-            # A field that is true or false has its value in its type.
-            fields[field] = kind == 1 if kind in (1, 2) else self.value(kind)
-        return fields
-
-    def value(self, kind: int) -> Any:
-        match kind:
-            case 1 | 2 | 3:
-                return self.byte()
-            case 4 | 5 | 6:
-                return self.integer()
-            case 7:
-                return self.taken(8)
-            case 8:
-                return self.taken(self.varint())
-            case 9:
-                head = self.byte()
-                size = self.varint() if head >> 4 == 15 else head >> 4
-                if size > len(self.data) - self.at:
-                    raise LookupError
-                return [self.value(head & 15) for _ in range(size)]
-            case 12:
-                return self.struct()
-        raise LookupError
-
-    def integer(self) -> int:
-        value = self.varint()
-        return (value >> 1) ^ -(value & 1)
-
-    def varint(self) -> int:
-        value = 0
-        for shift in range(0, 70, 7):
-            byte = self.byte()
-            value |= (byte & 127) << shift
-            if byte < 128:
-                return value
-        raise LookupError
-
-    def byte(self) -> int:
-        self.at += 1
-        return self.data[self.at - 1]
-
-    def taken(self, size: int) -> bytes | memoryview:
-        if size > len(self.data) - self.at:
-            raise LookupError
-        self.at += size
-        return self.data[self.at - size : self.at]

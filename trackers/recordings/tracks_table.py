@@ -53,6 +53,16 @@ def source_paths(folder: Path) -> list[Path]:
     return [] if any(map(has_control, lines)) else [Path(line) for line in lines if line]
 
 
+def require_sources(folder: Path) -> tuple[Path, ...]:
+    """The recordings tracked into an output folder; raises UnusableInput if it does not list them."""
+    paths, where, fix = source_paths(folder), folder / SOURCES, "give --truth RECORDING"
+    if not paths:
+        raise UnusableInput(f"{where}: names no recording; expected a folder written by `track`; {fix}")
+    if moved := [path for path in paths if not path.exists()]:
+        raise UnusableInput(f"{where}: {moved[0]} does not exist; expected the recordings there; {fix}")
+    return tuple(paths)
+
+
 def is_bearing(tracks: pl.DataFrame) -> bool:
     """Whether the estimates are bearings, not positions."""
     return "x_m" not in tracks.columns

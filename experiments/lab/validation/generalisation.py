@@ -10,8 +10,7 @@ from typing import get_args
 import trackwright as tw
 from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.experiments.lab.validation.sites import read, recordings
-from trackwright.experiments.pages.reports.before_after import tracked
-from trackwright.experiments.pages.reports.verdict import judge
+from trackwright.experiments.pages.reports.before_after import judge, tracked
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.tuning.priors import Kind
 
@@ -42,7 +41,7 @@ def figures(tracker: str, name: str, fitted_to: tuple[str, ...], prior: Kind) ->
     named = tw.build(tracker, [*others, folder])
     fitted = tw.fit(named, others, options=tw.FitOptions(prior=prior)).tracker
     sides = tracked(named, [folder]), tracked(fitted, [folder])
-    change = judge(sides, [folder], 2).recordings[name]
+    change = judge(sides, 2).recordings[name]
     default, rmse = (Evaluation.of(side)["rmse_m"] for side in sides)
     gain = {"gain_nats": change.value, "low": change.low, "high": change.high}
     return {"recordings": len(others), "log_density": change.second, **gain, "rmse_m": rmse, "rmse_default_m": default}

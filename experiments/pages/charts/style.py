@@ -1,119 +1,120 @@
-"""What all charts share: one matplotlib style, colours for colour-blind readers, and PNG, PDF and SVG output.
-
-A chart is a function that draws on axes: `Chart.write` puts it into a file, `Chart.address` onto a page.
-"""
+"""A chart as a plain description: lines, areas and fields with their axes, for plotly.js and matplotlib alike."""
 
 from __future__ import annotations
 
-import base64
-import io
-import re
-import warnings
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from typing import Any, NamedTuple
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator
+from numpy.typing import ArrayLike
 
-from trackwright.experiments.pages.charts.plotly_figure import plotly_figure
-from trackwright.experiments.pages.reports.pages import script_json
-from trackwright.trackers.recordings.atomic import atomic_write
-
-BLACK = "#000000"
-GREY = "#6e6e6e"
-ORANGE = "#e69f00"
-SKY = "#56b4e9"
-GREEN = "#009e73"
-BLUE = "#0072b2"
-VERMILION = "#d55e00"
-PURPLE = "#cc79a7"
+BLACK, GREY, INK = "#000000", "#6e6e6e", "#1d2733"
+ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE = "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00", "#cc79a7"
 LINES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 """Okabe & Ito (2008) in the order in which lines take them; yellow is left out, it is too light for a line on white."""
 
-INK = "#1d2733"
-BEFORE = "#7b8794"
-"""The colour of results before tuning; those after it are blue."""
-
-WIDTH, HEIGHT = 5.0, 3.1
-"""Inches of a plot on a page: about the text's size on a phone, two plots abreast on a desktop screen."""
+BEFORE, PALE = "#7b8794", "#c3ccd6"
+"""Results before tuning, and what stands back."""
 
 NARROW = 3.6
-"""Inches of a plot of which three stand abreast."""
+"""Inches of a chart of which three stand abreast on a page."""
 
-COMPRESSION = 2
-"""Level of a PNG's compression: a tenth more bytes than at the usual 6 in two thirds of the time."""
-
-FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', sans-serif"
-
-STYLE: dict[Any, Any] = {
-    "font.size": 9,
-    "text.color": INK,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.titlecolor": INK,
-    "axes.labelcolor": GREY,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#9aa5b1",
-    "axes.linewidth": 0.7,
-    "axes.facecolor": "none",
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.formatter.useoffset": False,
-    "grid.color": "#e6eaee",
-    "grid.linewidth": 0.6,
-    "xtick.color": GREY,
-    "ytick.color": GREY,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "xtick.minor.size": 0,
-    "ytick.minor.size": 0,
-    "lines.linewidth": 1.2,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "legend.handlelength": 1.5,
-    "legend.borderaxespad": 0.2,
-    "savefig.dpi": 150,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "trackwright",  # the same plot is the same file
-}
+Limits = tuple[float | None, float | None]
 
 
-@contextmanager
-def _styled() -> Iterator[None]:
-    with rc_context(STYLE), warnings.catch_warnings():
-        # A name in a script that the font lacks is drawn as boxes; a warning would not help the user.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        # Nor would one about names as long as the figure.
-        warnings.filterwarnings("ignore", message="constrained_layout not applied")
-        yield
+@dataclass(frozen=True)
+class Line:
+    """Points (n,) that are joined, marked, or enclose a filled area; NaN where the line breaks.
+
+    `name`: in the legend, if any. `width`: 0 for no line. `marker`: as plotly.js calls it. `text`: below each point.
+    """
+
+    x: ArrayLike
+    y: ArrayLike
+    name: str = ""
+    colour: str = BLUE
+    width: float = 1.3
+    dash: str = "solid"
+    marker: str = ""
+    size: float = 5.0
+    opacity: float = 1.0
+    filled: bool = False
+    text: Sequence[str] = ()
+
+    def plotly(self) -> dict[str, Any]:
+        """The trace of plotly.js."""
+        trace = {"x": numbers(self.x), "y": numbers(self.y), "name": escape(self.name), "showlegend": bool(self.name)}
+        trace |= {"opacity": self.opacity, "line": {"color": self.colour, "width": self.width, "dash": self.dash}}
+        if self.filled:
+            return trace | {"fill": "toself", "fillcolor": self.colour, "mode": "lines", "hoverinfo": "skip"}
+        mode = ["lines"] * (self.width > 0) + ["markers"] * bool(self.marker) + ["text"] * bool(self.text)
+        marker = {"symbol": self.marker or "circle", "size": self.size + 1, "color": self.colour}
+        words = {"text": [*map(escape, self.text)], "textposition": "bottom center", "cliponaxis": False}
+        return trace | {"mode": "+".join(mode) or "none", "marker": marker} | (words if self.text else {})
 
 
-Draw = Callable[[Axes], object]
-"""What draws a chart on axes."""
+@dataclass(frozen=True)
+class Field:
+    """Values (m, n) over x (n,) and y (m,) as coloured cells, or as contours at the values `ticks` with their texts.
+
+    `colours`: Blues, RdBu or Viridis, from `low` to `high`.
+    """
+
+    x: ArrayLike
+    y: ArrayLike
+    values: ArrayLike
+    label: str
+    colours: str
+    low: float
+    high: float
+    ticks: Mapping[float, str] | None = None
+
+    def plotly(self) -> dict[str, Any]:
+        """The trace of plotly.js."""
+        bar: dict[str, Any] = {
+            "title": {"text": escape(self.label), "side": "right"},
+            "thickness": 12,
+            "outlinewidth": 0,
+        }
+        trace = {"x": numbers(self.x), "y": numbers(self.y), "z": [numbers(row) for row in np.asarray(self.values)]}
+        trace |= {"zmin": self.low, "zmax": self.high, "colorscale": self.colours, "colorbar": bar}
+        if self.ticks is None:
+            return trace | {"type": "heatmap", "xgap": 1, "ygap": 1, "hovertemplate": "%{z:.3g}<extra></extra>"}
+        bar |= {"tickvals": [*self.ticks][::3], "ticktext": [*self.ticks.values()][::3]}
+        first, second, *_, last = self.ticks
+        contours = {"start": first, "end": last, "size": second - first}
+        return trace | {"type": "contour", "contours": contours, "hoverinfo": "skip", "line": {"color": "#fff"}}
 
 
-class Chart(NamedTuple):
-    """A chart of a page or a file: its name in a file's name, its title, what draws it, and its size in inches.
+@dataclass(frozen=True)
+class Chart:
+    """A chart: its name in a file's name, its title, the labels of its axes and what is drawn, the lowest first.
 
-    `height`: None of a floor plan, whose axes say it. `caption`: what a page says below it.
+    `xlim`, `ylim`: ends of the axes, None for those of the data; `robust`: without the last 1 % of these in y. `log`:
+    the logarithmic axes, as "xy". `xticks`, `yticks`: texts by their places. `equal`: whether both axes have one scale.
+    `note`: small words below; `caption`: what a page says beside them. `width`, `height`: inches, None for a height by
+    the shape of the limits.
     """
 
     name: str
     title: str
-    draw: Draw
-    width: float = WIDTH
-    height: float | None = HEIGHT
+    x: str
+    y: str
+    parts: Sequence[Line | Field]
+    xlim: Limits = (None, None)
+    ylim: Limits = (None, None)
+    robust: bool = False
+    log: str = ""
+    xticks: Mapping[Any, str] | None = None
+    yticks: Mapping[Any, str] | None = None
+    equal: bool = False
+    note: str = ""
     caption: str = ""
+    width: float = 5.0
+    height: float | None = 3.1
 
     @property
     def narrow(self) -> bool:
@@ -121,99 +122,92 @@ class Chart(NamedTuple):
         return self.width == NARROW
 
     @property
-    def address(self) -> str:
-        """The chart as a data address, for an image inside a page: an SVG whose text stays text.
+    def size(self) -> tuple[float, float]:
+        """Width and height, inches."""
+        (left, right), (bottom, top) = self.limits("x"), self.limits("y")
+        ratio = float(np.clip((top - bottom) / (right - left), 0.3, 1.5))
+        return self.width, self.height or ratio * (self.width - 0.6) + 1.1
 
-        Where plotly.js can draw the chart instead, the SVG holds its data as the metadata `chart`.
-        """
-        with _styled():
-            figure = Figure(figsize=(self.width, self.height or HEIGHT), dpi=72, facecolor="none", layout="constrained")
-            canvas = FigureCanvasSVG(figure)
-            self._drawn(figure)
-            page, nothing = io.BytesIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
-            canvas.print_svg(page, metadata=nothing)
-            chart = plotly_figure(figure)
-        text = page.getvalue().decode()
-        text = re.sub(r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
-        text = re.sub(r"font-family: [^;\"]*", f"font-family: {FONTS}", text)
-        if chart is not None:
-            data = script_json(chart).replace("&", "\\u0026").replace(">", "\\u003e")
-            text = text.replace("</svg>", f'<metadata id="chart">{data}</metadata></svg>')
-        return "data:image/svg+xml;base64," + base64.b64encode(text.encode()).decode()
+    def limits(self, axis: str) -> tuple[float, float]:
+        """The ends of an axis, x or y; those not given from the data with a margin."""
+        log, tail, ends = axis in self.log, 0.005 * (self.robust and axis == "y"), []
+        for filled in (False, True):
+            own = [part for part in self.parts if (isinstance(part, Line) and part.filled) == filled]
+            values = np.concatenate([np.zeros(0), *(np.ravel(np.asarray(getattr(part, axis), float)) for part in own)])
+            shown = np.log10(values[values > 0]) if log else values[np.isfinite(values)]
+            ends += [np.quantile(shown, (tail, 1 - tail))] if len(shown) else []
+        low, high = ends[0] if ends else (0.0, 1.0)
+        # A wide band does not flatten the lines.
+        for first, last in ends[1:]:
+            span = high - low if tail else np.inf
+            low, high = min(low, max(first, low - span)), max(high, min(last, high + span))
+        margin = 0.05 * (high - low) or 0.1 * abs(high) or 1.0
+        both = [10**end if log else end for end in (low - margin, high + margin)]
+        given = self.xlim if axis == "x" else self.ylim
+        first, last = (end if asked is None else asked for asked, end in zip(given, both, strict=True))
+        return float(first), float(last)
 
-    def write(self, path: Path | str) -> Path:
-        """Writes the chart, whole or not at all, as a PDF or a PNG, as the ending of `path` says; returns the path.
-
-        Raises UnusableInput where it can't be written.
-        """
-        kind = Path(path).suffix[1:]
-        options: dict[str, Any] = {"pil_kwargs": {"compress_level": COMPRESSION}} if kind == "png" else {}
-        with _styled():
-            figure = Figure(figsize=(self.width, self.height or HEIGHT), facecolor="white", layout="constrained")
-            FigureCanvasAgg(figure)
-            title = literal(self.title)
-            if title not in self._drawn(figure).get_title("left"):
-                figure.suptitle(title, x=0.02, ha="left", fontsize=11, fontweight="bold")
-            atomic_write(path, lambda to: figure.savefig(to, format=kind, **options))
-        return Path(path)
-
-    def _drawn(self, figure: Figure) -> Axes:
-        axes = figure.subplots()
-        self.draw(axes)
-        if self.height is None:
-            (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-            ratio = float(np.clip((top - bottom) / (right - left), 0.3, 1.5))
-            figure.set_size_inches(self.width, ratio * (self.width - 0.6) + 1.1)
-        return axes
+    def plotly(self) -> dict[str, Any]:
+        """Title, note, traces, layout and height over width, as a page holds them."""
+        layout: dict[str, Any] = {"showlegend": any(isinstance(part, Line) and part.name for part in self.parts)}
+        for axis, label, ticks in (("x", self.x, self.xticks), ("y", self.y, self.yticks)):
+            log = axis in self.log
+            ends = [math.log10(end) if log else end for end in self.limits(axis)]
+            layout[f"{axis}axis"] = {"title": {"text": escape(label)}, "zeroline": False, "range": numbers(ends)}
+            layout[f"{axis}axis"] |= {"type": "log", "dtick": "D2"} if log else {}
+            layout[f"{axis}axis"] |= {"tickvals": [*ticks], "ticktext": [*map(escape, ticks.values())]} if ticks else {}
+        layout["yaxis"] |= {"scaleanchor": "x"} if self.equal else {}
+        width, height = self.size
+        note, traces = f"{self.caption} {self.note}".strip(), [part.plotly() for part in self.parts]
+        return {"title": self.title, "note": note, "data": traces, "layout": layout, "height": height / width}
 
 
-def write_charts(folder: Path, charts: Iterable[Chart], kind: str, prefix: str = "") -> list[str]:
-    """Writes each chart as a file into the folder; returns their names. `kind`: their ending, png or pdf."""
-    names: list[str] = []
-    for chart in charts:
-        name = re.sub(r"[^\w.-]", "_", prefix + chart.name)[:100]
-        while f"{name}.{kind}" in names:
-            name += "_"
-        names.append(chart.write(folder / f"{name}.{kind}").name)
-    return names
+def numbers(values: ArrayLike) -> list[float | None]:
+    """The numbers with five significant digits, or those of their span where they lie far from zero; None for NaN."""
+    array = np.asarray(values, float)
+    known = array[np.isfinite(array)]
+    span = float(np.ptp(known)) if len(known) else 0.0
+
+    def short(x: float) -> float:
+        size = min(abs(x), span) or abs(x)
+        return round(x, 4 - math.floor(math.log10(size))) if size else 0.0
+
+    return [short(x) if math.isfinite(x) else None for x in array.tolist()]
 
 
-def plotly_chart(draw: Draw) -> dict[str, Any]:
-    """The chart as traces and layout of plotly.js, without an image."""
-    with _styled():
-        figure = Figure()
-        draw(figure.subplots())
-        chart = plotly_figure(figure)
-    assert chart is not None
-    return chart
+def band(
+    x: ArrayLike, low: ArrayLike, high: ArrayLike, name: str = "", colour: str = SKY, opacity: float = 0.35
+) -> Line:
+    """The area between two lines over x (n,), one for each run of rows without NaN."""
+    x, low, high = (np.asarray(values, float) for values in np.broadcast_arrays(x, low, high))
+    known = np.isfinite(low) & np.isfinite(high)
+    runs = np.split(np.arange(len(x)), np.flatnonzero(np.diff(known.astype(int))) + 1)
+    corners = [np.zeros((0, 2))]
+    for k in (run for run in runs if known[run].any()):
+        corners += [np.stack([x[k], low[k]], 1), np.stack([x[k], high[k]], 1)[::-1], np.full((1, 2), np.nan)]
+    return path(np.concatenate(corners), name, colour, 0.0, opacity=opacity, filled=True)
 
 
-def plain(axes: Axes, grid: str = "y") -> None:
-    """Removes the left spine and its ticks, and keeps a grid along one axis only."""
-    axes.grid(visible=False)
-    if grid:
-        axes.grid(visible=True, axis=grid)  # type: ignore[arg-type]
-    axes.spines["left"].set_visible(False)
-    axes.tick_params(left=False)
+def steps(edges: np.ndarray, heights: np.ndarray, **look: Any) -> Line:
+    """The outline of a histogram by the edges (n + 1,) of its bins."""
+    return Line(np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]]), **look)
 
 
-def logarithmic(axes: Axes, which: str) -> None:
-    """Makes the axis x or y logarithmic, with round numbers at its ticks."""
-    axes.set(**{f"{which}scale": "log"})
-    axis = axes.xaxis if which == "x" else axes.yaxis
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=8))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_locator(NullLocator())
+def path(points: np.ndarray, name: str = "", colour: str = BLUE, width: float = 1.3, **look: Any) -> Line:
+    """A line through points (n, 2)."""
+    return Line(points[:, 0], points[:, 1], name, colour, width, **look)
 
 
-def literal(text: str) -> str:
-    """A user's text for a plot: a dollar sign in it starts no formula."""
-    return text.replace("$", r"\$")
+def rule(at: float, ends: Sequence[float], upright: bool = False, **look: Any) -> Line:
+    """A thin line across the chart."""
+    thin: dict[str, Any] = {"colour": GREY, "width": 0.8} | look
+    return Line([at, at], [*ends], **thin) if upright else Line([*ends], [at, at], **thin)
 
 
-def legend_above(axes: Axes, columns: int = 4) -> None:
-    """A legend above the axes, where it hides nothing."""
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns, borderaxespad=0.2, handlelength=1.6)
+def is_logarithmic(values: ArrayLike, ratio: float = 5.0) -> bool:
+    """Whether an axis of these values is logarithmic: all are positive and span more than this ratio."""
+    known = np.asarray(values, float)[np.isfinite(values)]
+    return bool(len(known) and known.min() > 0 and known.max() > ratio * known.min())
 
 
 def broken_at_gaps(times: np.ndarray, *columns: np.ndarray, gap: float = 1.0) -> tuple[np.ndarray, ...]:

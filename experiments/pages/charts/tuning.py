@@ -3,55 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
 
-from trackwright.experiments.pages.charts.distributions import (
-    Curve,
-    draw_autocorrelation,
-    draw_distributions,
-    draw_nis,
-    draw_probabilities,
-)
-from trackwright.experiments.pages.charts.floor import draw_plan, track_paths, true_path
-from trackwright.experiments.pages.charts.style import (
-    BEFORE,
-    BLUE,
-    INK,
-    NARROW,
-    SKY,
-    VERMILION,
-    WIDTH,
-    Chart,
-    broken_at_gaps,
-    legend_above,
-    literal,
-    logarithmic,
-    plain,
-)
+from trackwright.experiments.pages.charts import style
+from trackwright.experiments.pages.charts.distributions import Curve, distribution, histograms, nis_chart
+from trackwright.experiments.pages.charts.floor import plan, track_paths, true_path
+from trackwright.experiments.pages.charts.style import Chart, Field, Line, band, broken_at_gaps, is_logarithmic, rule
 from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChange
 from trackwright.experiments.pages.scored_tracks import root_mean_square
-from trackwright.experiments.text.wording import number
+from trackwright.experiments.text.wording import fixed, length_unit, number
 from trackwright.trackers.core.wording import counted
-from trackwright.tuning.diagnostics import Innovations
+from trackwright.tuning.diagnostics import Innovations, autocorrelation, nis_probabilities
 from trackwright.tuning.sweeping import Surface, Sweep
 
-PALE = "#c3ccd6"
-POINTS = 250
-ELLIPSES, PLAN_POINTS = 12, 1000
-"""The most ellipses of a side in a floor plan, and about the most points of a path."""
+ELLIPSES, POINTS, LAGS = 12, 1000, 30
+"""The most ellipses of a side in a floor plan, about the most points of a path or line, and lags of NIS, rows."""
 
 SHOWN, MOST = 6, 24
 """The most trajectories whose errors are drawn over time, and whose RMSE is drawn."""
-
-
-BEST: dict[str, Any] = {"color": VERMILION, "markersize": 8, "markeredgecolor": "white", "clip_on": False, "zorder": 5}
-"""The mark of the best point."""
 
 
 class OptimiserTrace(NamedTuple):
@@ -63,53 +36,40 @@ class OptimiserTrace(NamedTuple):
 
 def plan_chart(change: TrackChange) -> Chart:
     """Paths before and after, 95 % ellipses of the same moments on both, truth, anchors, stations and walls."""
-    words = [change.rmse and f"RMSE {change.rmse}", "held out" if change.held_out else "tuned on", change.why]
-
-    def draw(axes: Axes) -> None:
-        looks = [(k, colour, f"95 % ellipses {k}") for k, colour in (("before", BEFORE), ("after", BLUE))]
-        paths = track_paths([change.before, change.after], change.track, looks, ELLIPSES, PLAN_POINTS)
-        draw_plan(axes, paths, true_path(change.after, change.track), change.after.folder.rig)
-        legend_above(axes, 3)
-        axes.set_title(literal(change.name), pad=30)
-
-    return Chart("plan", f"Floor plan of {change.name}", draw, WIDTH, None, f"{'; '.join(filter(None, words))}.")
+    unit = length_unit(float(np.max(change.rmse)))
+    rmse = " → ".join(fixed(unit.factor * x, unit.digits) for x in change.rmse) + f" {unit.name}"
+    words = [
+        f"RMSE {rmse}" * bool(np.isfinite(change.rmse).any()),
+        "held out" if change.held_out else "tuned on",
+        change.why,
+    ]
+    looks = [(k, colour, f"95 % ellipses {k}") for k, colour in (("before", style.BEFORE), ("after", style.BLUE))]
+    paths = track_paths([change.before, change.after], change.track, looks, ELLIPSES, POINTS)
+    look: dict[str, Any] = {"width": 5.0, "caption": f"{'; '.join(filter(None, words))}."}
+    truths, rig = true_path(change.after, change.track), change.after.folder.rig
+    return plan("plan", f"Floor plan of {change.errors.name}", paths, truths, rig, **look)
 
 
 def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
     """NIS against its distribution, its probabilities, and its autocorrelation."""
-
-    def histograms(axes: Axes) -> None:
-        draw_nis(axes, after, before)
-        axes.set_title("NIS of all rows")
-        plain(axes, "")
-
-    size = NARROW, NARROW * 0.92
-    probabilities = partial(draw_probabilities, before=before, after=after)
-    lags = partial(draw_autocorrelation, before=before, after=after)
+    bins, lags = np.linspace(0, 1, 21), np.arange(1, LAGS + 1)
+    small: dict[str, Any] = {"width": style.NARROW, "height": 0.92 * style.NARROW}
+    new, old = (np.histogram(nis_probabilities(side), bins, density=True)[0] for side in (after, before))
+    uniform = [*histograms(bins, [new, old]), rule(1.0, (0, 1), name="consistent", colour=style.VERMILION, width=1.6)]
+    (earlier, _), (later, pairs) = autocorrelation(before, LAGS), autocorrelation(after, LAGS)
+    wide = 1.96 / np.sqrt(max(pairs, 1))
+    white = band([0, LAGS + 1], -wide, wide, "95 % band of white noise", style.VERMILION, 0.16)
+    sides = (earlier, "before", style.BEFORE), (later, "after", style.BLUE)
+    points = [Line(lags, y, name, colour, 0.8, marker="circle", size=3) for y, name, colour in sides]
+    names = "probabilities", "Probabilities of NIS", "probability of a smaller NIS", "density"
+    large = "An overconfident filter has more large values than the vermilion line."
+    rising = "Uniform for a consistent filter; rising to the right: covariances too small, to the left: too large."
+    lasting = "Of NIS as normal values. Points above the band: errors are correlated in time, contrary to the model."
+    others = "autocorrelation", "Autocorrelation of NIS", "lag (rows)", ""
     return [
-        Chart(
-            "nis",
-            "NIS against its distribution",
-            histograms,
-            *size,
-            "An overconfident filter has more large values than the vermilion line.",
-        ),
-        Chart(
-            "probabilities",
-            "Probabilities of NIS",
-            probabilities,
-            *size,
-            "The same values as probabilities, uniform for a consistent filter. Bars that rise to the right: reported "
-            "covariances too small; to the left: too large.",
-        ),
-        Chart(
-            "autocorrelation",
-            "Autocorrelation of NIS",
-            lags,
-            *size,
-            "Points above the band: errors are correlated in time, contrary to the model's white noise. Computed from "
-            "NIS transformed to standard normal values, since the signs of innovations are not stored.",
-        ),
+        nis_chart("nis", "NIS against its distribution", after, before, **small, caption=large),
+        Chart(*names, uniform, **small, caption=rising),
+        Chart(*others, [white, *points], **small, caption=lasting),
     ]
 
 
@@ -118,69 +78,43 @@ def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
     rows = sorted((root_mean_square(e.before), root_mean_square(e.after), _short(e.name)) for e in errors)[-MOST:]
     old, new, names = (np.array(column) for column in zip(*rows, strict=True))
     places, worse = np.arange(len(rows)), new > old
-
-    def draw(axes: Axes) -> None:
-        for k in places:
-            colour = VERMILION if worse[k] else BLUE
-            axes.plot([old[k], new[k]], [k, k], color=colour, linewidth=1.6, alpha=0.6, zorder=1)
-        axes.plot(old, places, "o", markerfacecolor="white", color=BEFORE, markersize=6, label="before")
-        for which, colour, label in ((~worse, BLUE, "after"), (worse, VERMILION, "after, larger")):
-            if which.any():
-                axes.plot(new[which], places[which], "o", color=colour, markersize=6, label=label)
-        axes.set_yticks(places, [literal(name) for name in names])
-        axes.set(xlabel=f"RMSE ({unit})", ylim=(-0.6, len(rows) - 0.4), xlim=(0, 1.06 * max(old.max(), new.max())))
-        legend_above(axes, 3)
-        plain(axes, "x")
-
+    parts = [Line(old, places, "before", style.BEFORE, 0.0, marker="circle-open", size=6)]
+    for which, colour, label in ((~worse, style.BLUE, "after"), (worse, style.VERMILION, "after, larger")):
+        if which.any():
+            along = np.stack([old, new, np.full(len(rows), np.nan)], 1)[which].ravel()
+            parts.append(Line(along, np.repeat(places[which], 3), "", colour, 1.6, opacity=0.6))
+            parts.append(Line(new[which], places[which], label, colour, 0.0, marker="circle", size=6))
     caption = "RMSE of each trajectory; vermilion where it increased."
     caption += f" The {MOST} largest are shown." if len(errors) > MOST else ""
-    return Chart("rmse", "RMSE of trajectories", draw, WIDTH, max(2.0, 1.0 + 0.24 * len(rows)), caption)
+    look: dict[str, Any] = {"yticks": dict(enumerate(names)), "height": max(2.0, 1.0 + 0.24 * len(rows))}
+    ends, title = ((0, None), (-0.6, len(rows) - 0.4)), "RMSE of trajectories"
+    return Chart("rmse", title, f"RMSE ({unit})", "", parts, *ends, caption=caption, **look)
 
 
 def distribution_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
     """Distribution functions of the errors of all rows, before and after."""
     curves = []
-    for name in ("before", "after"):
-        curve = Curve.of(name, np.concatenate([getattr(track, name) for track in errors]))
-        curves.append(curve._replace(name=f"{name}: 95 % within {curve.quantiles([95.0])[0]:.3g} {unit}"))
-
-    def draw(axes: Axes) -> None:
-        end = 1.05 * max(float(curve.quantiles([99.0])[0]) for curve in curves)
-        looks = {"color": BEFORE, "linewidth": 1.3}, {"color": BLUE, "linewidth": 1.9}
-        draw_distributions(axes, curves, f"error ({unit})", end, (95.0,), looks)
-        axes.legend(loc="lower right")
-        axes.set_title("Distribution of errors of all rows")
-        plain(axes)
-
-    return Chart("distribution", "Distribution of errors", draw, caption="All rows pooled.")
+    for side in ("before", "after"):
+        curve = Curve.of(side, np.concatenate([getattr(track, side) for track in errors]))
+        curves.append(curve._replace(name=f"{side}: 95 % within {curve.quantiles([95.0])[0]:.3g} {unit}"))
+    end = 1.05 * max(float(curve.quantiles([99.0])[0]) for curve in curves)
+    looks = {"colour": style.BEFORE}, {"colour": style.BLUE}
+    title, quantity = "Distribution of errors of all rows", f"error ({unit})"
+    return distribution("distribution", title, curves, quantity, end, (95.0,), looks)
 
 
 def error_charts(errors: Sequence[ErrorTrack], unit: str) -> list[Chart]:
-    """The errors over time, for the trajectories whose RMSE changed most."""
-    changes = [abs(root_mean_square(e.after) - root_mean_square(e.before)) for e in errors]
-    chosen = [errors[k] for k in np.argsort(np.negative(changes), kind="stable")[:SHOWN]]
-    top = 1.05 * float(np.nanquantile(np.concatenate([x for e in chosen for x in (e.before, e.after)]), 0.998)) or 1.0
-
-    def draw(axes: Axes, track: ErrorTrack) -> None:
-        at, old, new = broken_at_gaps(*_smooth(track))
-        axes.plot(at, old, color=BEFORE, linewidth=0.9, label="before")
-        axes.plot(at, new, color=BLUE, linewidth=1.2, label="after")
-        axes.set_title(literal(_short(track.name)))
-        axes.set(ylim=(0, top), xlabel="time since the start (s)", ylabel=f"error ({unit})")
-        axes.margins(x=0.01)
-        axes.legend(loc="lower right", bbox_to_anchor=(1.01, 1.0), ncols=2)
-        plain(axes)
-
-    return [Chart("errors", f"Error of {e.name} over time", partial(draw, track=e), height=2.1) for e in chosen]
-
-
-def _smooth(track: ErrorTrack) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times and errors; of long trajectories the root mean squares of at most `POINTS` blocks of rows."""
-    rows = -(-len(track.times) // POINTS)
-    starts = np.arange(0, len(track.times), rows)
-    count = np.add.reduceat(np.ones(len(track.times)), starts)
-    old, new = (np.sqrt(np.add.reduceat(values**2, starts) / count) for values in (track.before, track.after))
-    return np.add.reduceat(track.times, starts) / count, old, new
+    """The errors over time, for the trajectories whose RMSE changed most; of long ones root mean squares of blocks."""
+    changes, charts = [abs(root_mean_square(e.after) - root_mean_square(e.before)) for e in errors], []
+    for track in (errors[k] for k in np.argsort(np.negative(changes), kind="stable")[:SHOWN]):
+        starts = np.arange(0, len(track.times), -(-len(track.times) // POINTS))
+        of_blocks = np.stack([track.times, track.before**2, track.after**2])
+        means = np.add.reduceat(of_blocks, starts, axis=1) / np.diff([*starts, len(track.times)])
+        at, old, new = broken_at_gaps(means[0], *np.sqrt(means[1:]))
+        parts = [Line(at, old, "before", style.BEFORE, 0.9), Line(at, new, "after", style.BLUE, 1.2)]
+        labels = f"Error of {_short(track.name)} over time", "time since the start (s)", f"error ({unit})"
+        charts.append(Chart("errors", *labels, parts, ylim=(0, None), robust=True, height=2.1))
+    return charts
 
 
 def _short(name: str) -> str:
@@ -189,51 +123,34 @@ def _short(name: str) -> str:
 
 def objective_chart(traces: Sequence[OptimiserTrace], title: str, selected: int | None = None) -> Chart:
     """The objective at every step of every start, the best first; `selected`: the one chosen, by default the last."""
-
-    def draw(axes: Axes) -> None:
-        _draw_steps(axes, [t.objective for t in traces])
-        shown = np.concatenate([t.objective for t in traces])
-        shown = shown[np.isfinite(shown)]
-        best, longest = float(shown.min()), max(len(t.objective) for t in traces)
-        # A start with a far larger objective must not flatten all others.
-        usual = best + 6 * float(np.quantile(shown, 0.75) - best) or np.inf
-        top = max(float(np.nanmax(traces[0].objective)), min(float(shown.max()), usual))
-        margin = 0.06 * (top - best) or 0.1 * abs(best) or 1.0
-        axes.set(xlabel="step", ylim=(best - margin, top + margin))
-        axes.set_title(literal(title))
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        step = int(np.flatnonzero(np.isfinite(traces[0].objective))[-1]) if selected is None else selected
-        value = float(traces[0].objective[step])
-        axes.plot([step], [value], "o", color=BLUE, markersize=6, markeredgecolor="white", zorder=3)
-        axes.annotate(
-            number(value), (step, value), xytext=(0, 7), textcoords="offset points",
-            ha="right" if step > 0.5 * longest else "left", color=BLUE, fontsize=9, fontweight="bold",
-        )  # fmt: skip
-        if len(traces) > 1:
-            axes.legend(*(x[::-1] for x in axes.get_legend_handles_labels()), loc="upper right")
-        plain(axes)
-
-    return Chart("tuning", "Objective", draw, caption=f"Objective at every step, from {counted(len(traces), 'start')}.")
+    # A start with a far larger objective must not flatten all others.
+    least, top = min(float(np.nanmin(t.objective)) for t in traces), float(np.nanmax(traces[0].objective))
+    margin = 0.06 * (top - least) or 0.1 * abs(least) or 1.0
+    step = int(np.flatnonzero(np.isfinite(traces[0].objective))[-1]) if selected is None else selected
+    value = float(traces[0].objective[step])
+    parts = [
+        *_steps([t.objective for t in traces]),
+        Line([step], [value], f"selected: {number(value)}", width=0, marker="circle"),
+    ]
+    look: dict[str, Any] = {"ylim": (least - margin, top + margin)}
+    return Chart("tuning", f"Objective from {counted(len(traces), 'start')}", "step", title, parts, **look)
 
 
 def parameter_chart(traces: Sequence[OptimiserTrace], k: int, name: str, unit: str) -> Chart:
     """Parameter `k` at every step of every start, on a logarithmic axis where it is positive."""
-
-    def draw(axes: Axes) -> None:
-        _draw_steps(axes, [t.values[:, k] for t in traces])
-        axes.set_title(named(name, unit))
-        scale_axis(axes, np.concatenate([t.values[:, k] for t in traces]), "y")
-        axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-        axes.set_xlabel("step")
-        plain(axes)
-
-    return Chart(f"tuning-{name}", name, draw, NARROW, 0.62 * NARROW)
+    values = [t.values[:, k] for t in traces]
+    look: dict[str, Any] = {
+        "log": "y" * is_logarithmic(np.concatenate(values)),
+        "width": style.NARROW,
+        "height": 0.62 * style.NARROW,
+    }
+    return Chart(f"tuning-{name}", named(name, unit), "step", "", _steps(values), **look)
 
 
-def _draw_steps(axes: Axes, traces: Sequence[np.ndarray]) -> None:
-    for k, values in reversed(list(enumerate(traces))):
-        label = {0: "best start", 1: "other starts"}.get(k)
-        axes.plot(values, color=BLUE if k == 0 else PALE, linewidth=1.8 if k == 0 else 1.1, label=label)
+def _steps(traces: Sequence[np.ndarray]) -> list[Line]:
+    words = {0: "best start", 1: "other starts"} if len(traces) > 1 else {}
+    lines = [(k, np.arange(len(values)), values) for k, values in enumerate(traces)][::-1]
+    return [Line(x, y, words.get(k, ""), style.PALE if k else style.BLUE, 1.1 if k else 1.8) for k, x, y in lines]
 
 
 def selected_step(best: OptimiserTrace, after: Sequence[float]) -> int:
@@ -243,19 +160,12 @@ def selected_step(best: OptimiserTrace, after: Sequence[float]) -> int:
 
 
 def surface_chart(
-    surface: Surface, names: Sequence[str], labels: Sequence[str], best: Sequence[float], objective: str,
-    traces: Sequence[OptimiserTrace],
-) -> Chart:  # fmt: skip
+    surface: Surface, labels: Sequence[str], best: Sequence[float], objective: str, traces: Sequence[OptimiserTrace]
+) -> Chart:
     """The objective over one parameter as a curve, over two as contours with the steps of all starts."""
-    paths = [t.values[:, list(surface.axes)] for t in traces]
-
-    def draw(axes: Axes) -> None:
-        draw_objective(axes, labels, surface.grids, surface.values, best, objective, paths)
-
-    over = f" over {' and '.join(names)}"
-    what = "Contours of the objective" if len(names) == 2 else "Objective"
-    caption = f"{what}{over}, with the optimiser's steps; other parameters at their tuned values."
-    return Chart("surface", f"Objective{over}", draw, WIDTH, 3.6, caption)
+    paths, title = [t.values[:, list(surface.axes)] for t in traces], f"Objective over {' and '.join(labels)}"
+    chart = _objective("surface", title, labels, surface.grids, surface.values, best, objective, paths)
+    return replace(chart, caption="With the optimiser's steps; other parameters at their tuned values.")
 
 
 def sweep_plot(path: Path | str, swept: Sweep, objective: str) -> Path:
@@ -263,83 +173,50 @@ def sweep_plot(path: Path | str, swept: Sweep, objective: str) -> Path:
 
     `objective`: its name and unit. Raises UnusableInput where the file can't be written.
     """
-    mean, at = swept.mean, swept.best_index
+    from trackwright.experiments.pages.charts.drawing import write
+
+    mean, at, path = swept.mean, swept.best_index, Path(path)
     best = [float(grid[k]) for grid, k in zip(swept.grids, at, strict=True)]
+    shown = ", ".join(f"{p.label} = {x:.4g}" for p, x in zip(swept.parameters, best, strict=True))
     labels = [named(p.label, p.example.unit) for p in swept.parameters]
     spread = swept.spread if len(swept.values) > 1 else None
-    shown = ", ".join(f"{p.label} = {x:.4g}" for p, x in zip(swept.parameters, best, strict=True))
-
-    def draw(axes: Axes) -> None:
-        draw_objective(axes, labels, swept.grids, mean, best, objective, (), spread)
-        axes.set_title(literal(f"minimum {mean[at]:.5g} at {shown}"), fontsize=9)
-
-    return Chart("sweep", f"Sweep: {objective}", draw, 7.0, 4.6).write(path)
+    title = f"{objective}: minimum {mean[at]:.5g} at {shown}"
+    return write(_objective(path.stem, title, labels, swept.grids, mean, best, objective, (), spread), path)
 
 
 def named(name: str, unit: str) -> str:
     """Name and unit of a parameter, for an axis."""
-    return literal(name + (f" ({unit})" if unit not in ("", "1") else ""))
+    return name + (f" ({unit})" if unit not in ("", "1") else "")
 
 
-def draw_objective(
-    axes: Axes,
-    labels: Sequence[str],
-    grids: Sequence[np.ndarray],
-    values: np.ndarray,
-    best: Sequence[float],
-    name: str,
-    paths: Sequence[np.ndarray] = (),
-    spread: np.ndarray | None = None,
-) -> None:
-    """The objective `name` over one parameter (n,) as a curve, or over two (n, m) as contours.
+def _objective(
+    name: str, title: str, labels: Sequence[str], grids: Sequence[np.ndarray], values: np.ndarray,
+    best: Sequence[float], objective: str, paths: Sequence[np.ndarray] = (), spread: np.ndarray | None = None,
+) -> Chart:  # fmt: skip
+    """The objective over one parameter (n,) as a curve, or over two (n, m) as contours; `best`: the marked point.
 
-    `best`: the point that is marked. `paths`: optimiser traces (i, p), the best one first; along a curve they are drawn
-    at its values, since a fit may have had another objective. `spread` (n,): over repeats. Levels of contours are
-    equidistant in the square root of the excess over the minimum: evenly spaced for a quadratic.
+    `paths`: optimiser traces (i, p), the best one first; along a curve they are drawn at its values, since a fit may
+    have had another objective. `spread` (n,): over repeats. Levels of contours are equidistant in the square root of
+    the excess over the minimum: evenly spaced for a quadratic.
     """
-    curve, height = len(labels) == 1, float(np.nanmin(values))
-    if curve:
+    least, parts = float(np.nanmin(values)), list[Line | Field]()
+    log = "".join(axis for axis, grid in zip("xy", grids, strict=False) if is_logarithmic(grid))
+    xlim, ylim = [(float(grid[0]), float(grid[-1])) for grid in grids] if len(grids) == 2 else [(None, None)] * 2
+    if len(labels) == 1:
         (grid,) = grids
         if spread is not None:
-            label = "± standard deviation over repeats"
-            axes.fill_between(grid, values - spread, values + spread, color=SKY, alpha=0.35, linewidth=0, label=label)
-        axes.plot(grid, values, color=INK, linewidth=1.4, marker="o" if len(grid) <= 40 else "", markersize=3.5)
+            parts.append(band(grid, values - spread, values + spread, "± standard deviation over repeats"))
+        parts.append(Line(grid, values, "", style.INK, 1.4, marker="circle" * (len(grid) <= 40), size=3.5))
         paths = [np.column_stack([path, np.interp(path[:, 0], grid, values, np.nan, np.nan)]) for path in paths]
-        axes.set_ylabel(literal(name))
+        best, labels = [*best, least], [*labels, objective]
     else:
-        above = values[np.isfinite(values)] - height
-        top = float(np.quantile(above, 0.97)) or float(above.max()) or 1.0
-        levels = height + np.linspace(0, np.sqrt(top), 12) ** 2
-        shown = np.where(np.isfinite(values), values, np.nan).T
-        filled = axes.contourf(*grids, shown, levels=levels, cmap="Blues_r", extend="max", alpha=0.75)
-        bar = axes.figure.colorbar(filled, ax=axes, ticks=levels[::3], format="%.4g", pad=0.02, aspect=30)
-        bar.set_label(literal(name), fontsize=8)
-        bar.outline.set_visible(False)  # type: ignore[operator]
-        axes.contour(*grids, shown, levels=levels, colors="white", linewidths=0.6, linestyles="solid")
-        axes.grid(visible=False)
-        scale_axis(axes, grids[1], "y", tight=True)
-        axes.set_ylabel(labels[1])
+        excess = np.sqrt(np.maximum(values - least, 0.0))
+        levels = np.linspace(0, float(np.nanquantile(excess, 0.97)) or 1.0, 12)
+        ticks = {float(level): f"{least + level**2:.4g}" for level in levels}
+        parts.append(Field(grids[0], grids[1], excess.T, objective, "Blues", 0.0, float(levels[-1]), ticks))
     for k, path in reversed(list(enumerate(paths))):
-        colour, size, width, alpha = (VERMILION, 4.5, 1.2, 1.0) if k == 0 else (INK, 2.5, 0.6, 0.5)
-        label = {0: "best start" if len(paths) > 1 else "optimiser steps", 1: "other starts"}.get(k, "_")
-        axes.plot(*path.T, ".-", color=colour, markersize=size, linewidth=width, alpha=alpha, label=label)
-    axes.plot(*best, *([height] if curve else []), "o", **BEST)
-    handles, texts = axes.get_legend_handles_labels()
-    if texts:
-        place = {"loc": "best"} if curve else {"loc": "lower left", "bbox_to_anchor": (-0.01, 1.0), "ncols": 3}
-        axes.legend(handles[::-1], texts[::-1], **place)
-    scale_axis(axes, grids[0], "x", tight=not curve)
-    axes.set_xlabel(labels[0])
-
-
-def scale_axis(axes: Axes, values: np.ndarray, which: str, tight: bool = False) -> None:
-    """Scales the axis x or y: logarithmic where all values are positive and the largest is five times the least."""
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    if low > 0 and high > 5 * low:
-        logarithmic(axes, which)
-        factor = 1.0 if tight else (high / low) ** 0.06
-        axes.set(**{f"{which}lim": (low / factor, high * factor)})
-        return
-    (axes.xaxis if which == "x" else axes.yaxis).set_major_locator(MaxNLocator(5))
-    margin = 0.0 if tight and high > low else 0.08 * (high - low) or 0.1 * abs(high) or 1.0
-    axes.set(**{f"{which}lim": (low - margin, high + margin)})
+        word = {0: "best start" if len(paths) > 1 else "optimiser steps", 1: "other starts"}.get(k, "")
+        colour, width, size, opacity = (style.INK, 0.6, 2.5, 0.5) if k else (style.VERMILION, 1.2, 4.0, 1.0)
+        parts.append(Line(path[:, 0], path[:, 1], word, colour, width, "solid", "circle", size, opacity))
+    parts.append(Line([best[0]], [best[1]], "minimum", style.VERMILION, 0.0, marker="circle", size=8))
+    return Chart(name, title, labels[0], labels[1], parts, xlim, ylim, log=log, height=3.6)

@@ -3,37 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
 from scipy.stats import binned_statistic_2d
 
-from trackwright.experiments.pages.charts.style import (
-    BEFORE,
-    BLACK,
-    BLUE,
-    GREY,
-    NARROW,
-    VERMILION,
-    Chart,
-    legend_above,
-    literal,
-)
+from trackwright.experiments.pages.charts.style import BEFORE, BLACK, BLUE, NARROW, VERMILION, Chart, Field, Line, band
 from trackwright.experiments.pages.reports.pages import report_page, typed, write_page
 from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.calibration import (
-    ANGLE_TERMS,
     ANGLES,
     DETERMINED,
     OFFSET_SIGMA,
-    RANGE_TERMS,
     UNCALIBRATED,
     Calibration,
     angle_terms,
@@ -44,74 +29,45 @@ from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import systematic
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
 
-WIDTH = 150
-SHOWN = 12
-"""The most stations, or anchors, with charts."""
+WIDTH, SHOWN = 150, 12
+"""Characters of a table's line, and the most stations, or anchors, with charts."""
 
-CURVE, POINTS = 80, 500
-"""Points of a fitted curve, and the most rows drawn of a source, before and after each: evenly spaced ones."""
-
-SQUARE = 0.5
-"""Side of the squares of the floor, m, whose median errors are drawn."""
-
-DEGREES = float(np.rad2deg(1.0))
-DIFFERENCE = "range difference"
-NOT_LINEAR = ", not linear"
-"""What follows the name of an anchor whose errors differ by distance after the line is removed."""
+CURVE, POINTS, SQUARE = 80, 500, 0.5
+"""Points of a fitted curve, about the most rows drawn of a source, and the side of the squares of the floor, m."""
 
 _ERRORS = ("rows", "as measured", "calibrated", "left out")
 SECTIONS = {
     "stations": Section(
-        "Stations",
-        ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS),
-        (),
-        2,
-        "A true angle a, with the other angle b, is measured as offset + gain·a + cubic·a³ + cross·a·b.",
-    ),
+        "Stations", ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS), (), 2,
+        "A true angle a, with the other angle b, is measured as offset + gain·a + cubic·a³ + cross·a·b."),
     "anchors": Section(
-        "Anchors",
-        ("anchor", "bias, m", "slope", *_ERRORS),
-        (),
-        1,
-        "A distance d is measured as d + bias + slope·d, plus the bias of the tag where there are several.",
-    ),
+        "Anchors", ("anchor", "bias, m", "slope", *_ERRORS), (), 1,
+        "A distance d is measured as d + bias + slope·d, plus the bias of the tag where there are several."),
     "differences": Section(
-        "Range differences",
-        ("anchor", "bias, m", *_ERRORS),
-        (),
-        1,
-        "The difference of the distances to two anchors is measured with the bias of the first less the bias of the "
-        "second; biases are relative to their mean. Rows and errors are those of all differences of an anchor.",
-    ),
+        "Range differences", ("anchor", "bias, m", *_ERRORS), (), 1,
+        "A difference of distances is measured with the bias of its first anchor less the bias of the second; biases "
+        "are relative to their mean. Rows and errors are of all differences of an anchor."),
     "tags": Section(
-        "Tags",
-        ("tag", "bias, m", "ahead, m", "to the left, m", "rows"),
-        (),
-        1,
-        "Bias relative to the mean of the tags, and where on the body their ranges end, from the place of the tag.",
-    ),
-}
+        "Tags", ("tag", "bias, m", "ahead, m", "to the left, m", "rows"), (), 1,
+        "Bias relative to the mean of the tags, and where on the body their ranges end, from the place of the tag."),
+}  # fmt: skip
 """The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several."""
 
-TABLES = ("stations", "anchors", "differences")
-
-NOTES = {
-    "": "± standard error.",
-    "(": "In brackets: not determined by these recordings, near its value before any of them.",
-    NOT_LINEAR: "Not linear: the errors that the line leaves differ between distances more than between pieces of time "
-    "(p < 0.001); see the figures.",
-    "as measured": "As measured, calibrated: 68th percentile of the absolute error before and after.",
-    "left out": "Left out: cross-validated, by a calibration on the other recordings.",
-}
-"""What the tables' marks mean, by the text that has to occur in them."""
+NOTE = (
+    "± standard error; in brackets: not determined by these recordings, near its value before them. As measured, "
+    "calibrated: 68th percentile of the absolute error before and after. Left out: by a calibration on the other "
+    "recordings. Not linear: the errors that the line leaves differ between distances more than between pieces of time "
+    "(p < 0.001)."
+)
 
 
 class Source(NamedTuple):
     """One angle of a station, or the ranges of an anchor or its range differences to others.
 
-    Its name, `quantity` and column of the pairs.
+    `table`: stations, anchors or differences. `column`: of the pairs.
     """
 
+    table: str
     name: str
     quantity: str
     column: int
@@ -120,42 +76,30 @@ class Source(NamedTuple):
     @property
     def is_angle(self) -> bool:
         """Whether the values are angles, not ranges."""
-        return self.quantity in ANGLES
+        return self.table == "stations"
 
     @property
-    def table(self) -> int:
-        """Its number in `TABLES`."""
-        return 0 if self.is_angle else 1 + (self.quantity == DIFFERENCE)
+    def measured(self) -> np.ndarray:
+        """The readings (N,), rad or m, NaN where not measured."""
+        return self.pairs.measured[:, self.column]
 
-    @property
-    def title(self) -> str:
-        """Its name above a chart."""
-        return f"{self.name}: {self.quantity}"
-
-    @property
-    def label(self) -> str:
-        """Its name in a sentence."""
-        in_differences = " in range differences" if self.table == 2 else ""
-        return f"station {self.name}, {self.quantity}" if self.is_angle else f"anchor {self.name}{in_differences}"
-
-    def fit(self, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray, Sequence[str]]:
-        """Terms, covariance, whether each is determined, and their names."""
+    def fit(self, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Terms, covariance, and whether each is determined."""
         if self.is_angle:
             station, k = calibration.stations[self.name], self.column
-            return station.coefficients[k], station.covariances[k], station.determined[k], ANGLE_TERMS
-        if self.quantity == DIFFERENCE:
+            return station.coefficients[k], station.covariances[k], station.determined[k]
+        if self.table == "differences":
             known, k = calibration.differences, calibration.differences.anchors.index(self.name)
-            return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]], RANGE_TERMS[:1]
+            return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]]
         anchor = calibration.anchors[self.name]
-        return anchor.coefficients, anchor.covariance, anchor.determined, RANGE_TERMS
+        return anchor.coefficients, anchor.covariance, anchor.determined
 
     def errors(self, calibration: Calibration | None) -> np.ndarray:
         """Measured minus expected values (N,), rad or m, NaN where not measured; None: without a calibration."""
-        true, k = self.pairs.true, self.column
-        expected = true[:, k]
+        expected = self.pairs.true[:, self.column]
         if calibration is not None and self.is_angle:
-            expected = calibration.stations.get(self.name, UNCALIBRATED).measured(true)[:, k]
-        elif calibration is not None and self.quantity == DIFFERENCE:
+            expected = calibration.stations.get(self.name, UNCALIBRATED).measured(self.pairs.true)[:, self.column]
+        elif calibration is not None and self.table == "differences":
             names, number = np.unique(self.pairs.other, return_inverse=True)
             both = np.column_stack([np.full(len(number), len(names)), number])
             expected = expected - calibration.of_differences([*names, self.name], both, np.zeros(len(number)))[0]
@@ -163,7 +107,7 @@ class Source(NamedTuple):
             tags, number = np.unique(self.pairs.tag, return_inverse=True)
             biases = np.array([calibration.tags[tag].bias if tag in calibration.tags else 0.0 for tag in tags])
             expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients + biases[number]
-        return self.pairs.measured[:, k] - expected
+        return self.measured - expected
 
     def spread(self, errors: np.ndarray) -> float:
         """The 68th percentile of the sizes of errors (N,), each recording with the same weight; NaN without any."""
@@ -179,11 +123,10 @@ class Source(NamedTuple):
 class Report(NamedTuple):
     """The tables of a calibration by what they are of, those with rows, and no column of dashes alone.
 
-    `undetermined`: each source with the terms that are not determined. `note`: what the marks in the tables mean.
+    `note`: what the marks in the tables mean.
     """
 
     tables: dict[str, Section]
-    undetermined: list[tuple[str, str]]
     sources: list[Source]
     note: str
 
@@ -191,77 +134,58 @@ class Report(NamedTuple):
 def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
     """The tables of a calibration of these recordings."""
     # An anchor whose differences are to anchors with too few has no bias.
-    sources = [source for source in _sources(folders) if source.table < 2 or source.name in calibration.differences]
-    without = _without_each(folders)
+    sources = [one for one in _sources(folders) if one.table != "differences" or one.name in calibration.differences]
     rows: dict[str, list[list[str]]] = {name: [] for name in SECTIONS}
-    undetermined = []
+    without = list[Calibration | None]()
+    for apart in folders:
+        try:
+            without.append(systematic([folder for folder in folders if folder is not apart]))
+        except UnusableInput:
+            without.append(None)
     for source in sources:
-        terms, covariance, determined, names = source.fit(calibration)
+        terms, covariance, determined = source.fit(calibration)
         cells = [_term(*values) for values in zip(terms, np.sqrt(np.diag(covariance)), determined, strict=True)]
         left_out, of = np.full(len(source.pairs.true), np.nan), source.pairs.recording
         for number, other in enumerate(without):
             if other is not None:
                 left_out[of == number] = source.errors(other)[of == number]
         measured, calibrated = source.errors(None), source.errors(calibration)
-        factor, unit = (DEGREES, "°") if source.is_angle else (100.0, " cm")
+        factor, unit = (180 / np.pi, "°") if source.is_angle else (100.0, " cm")
         spreads = [factor * source.spread(errors) for errors in (measured, calibrated, left_out)]
         shown = [MISSING if np.isnan(spread) else fixed(spread, 1) + unit for spread in spreads]
-        bent = source.table == 1 and differs_by_distance(
-            source.pairs.true[:, 0], calibrated, source.pairs.piece, source.spread(calibrated)
-        )
-        head = [source.name + NOT_LINEAR * bent, *[source.quantity] * source.is_angle]
-        rows[TABLES[source.table]].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
-        if not all(determined):
-            lacking = ", ".join(name for name, known in zip(names, determined, strict=True) if not known)
-            undetermined.append((source.label, lacking))
-    rows["tags"] = [
-        [name, _term(tag.bias, tag.sigma, True), *map(_offset, tag.offset, tag.offset_sigmas), str(tag.rows)]
-        for name, tag in calibration.tags.items()
-        if len(calibration.tags) > 1
-    ]
-    tables = {}
+        true, limit = source.pairs.true[:, 0], source.spread(calibrated)
+        bent = source.table == "anchors" and differs_by_distance(true, calibrated, source.pairs.piece, limit)
+        head = [source.name + ", not linear" * bent, *[source.quantity] * source.is_angle]
+        rows[source.table].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
+    for name, tag in calibration.tags.items() if len(calibration.tags) > 1 else ():
+        # There is no place on a body whose heading is not known.
+        places = (_term(*of, of[1] < DETERMINED * OFFSET_SIGMA) if of[1] else MISSING
+                  for of in zip(tag.offset, tag.offset_sigmas, strict=True))  # fmt: skip
+        rows["tags"].append([name, _term(tag.bias, tag.sigma, True), *places, str(tag.rows)])
+    tables, note = {}, NOTE
     for name, section in SECTIONS.items():
-        width = len(section.head) - (name in TABLES and all(row[-1] == MISSING for row in rows[name]))
+        width = len(section.head) - (name != "tags" and all(row[-1] == MISSING for row in rows[name]))
         if rows[name]:
             shorter = [row[:width] for row in rows[name]]
             tables[name] = section._replace(head=section.head[:width], rows=shorter, looks={"calibrated": "after"})
-    return Report(tables, undetermined, sources, _note(tables, calibration))
-
-
-def _note(tables: dict[str, Section], calibration: Calibration) -> str:
-    """What the marks mean that occur in the tables, and what a map of the errors of bearings brings."""
-    cells = [cell for section in tables.values() for row in (section.head, *section.rows) for cell in row]
-    notes = [text for mark, text in NOTES.items() if any(mark in cell for cell in cells)]
     if by_place := calibration.bearing_map:
-        notes.append(
-            "A map of the errors of bearings over the floor is kept, of "
-            f"{sum(len(visits) for visits in by_place.stations.values())} visits: visits left out are more probable by "
-            f"{by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
+        visits = sum(len(visits) for visits in by_place.stations.values())
+        note += (
+            f" A map of the errors of bearings over the floor is kept, of {visits} visits: visits left out are more "
+            f"probable by {by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
         )
-    return " ".join(notes)
+    return Report(tables, sources, note)
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
-    for table, quantities in (("bearings", ANGLES), ("ranges", ["range"]), ("tdoa", [DIFFERENCE])):
-        for name, pairs in calibration_pairs(folders, KINDS[table]).items():
-            for column, quantity in enumerate(quantities):
-                yield Source(name, quantity, column, pairs)
-
-
-def _without_each(folders: Sequence[RecordingFolder]) -> list[Calibration | None]:
-    """Of each recording: the calibration on the others, None where they have too few rows."""
-    calibrations: list[Calibration | None] = []
-    for left_out in folders:
-        try:
-            calibrations.append(systematic([folder for folder in folders if folder is not left_out]))
-        except UnusableInput:
-            calibrations.append(None)
-    return calibrations
-
-
-def _offset(value: float, sigma: float) -> str:
-    """A part of the place where the ranges of a tag end; none where the heading of its body is not known."""
-    return _term(value, sigma, sigma < DETERMINED * OFFSET_SIGMA) if sigma else MISSING
+    of = {
+        "stations": ("bearings", ANGLES),
+        "anchors": ("ranges", ["range"]),
+        "differences": ("tdoa", ["range difference"]),
+    }
+    for table, (kind, quantities) in of.items():
+        for name, pairs in calibration_pairs(folders, KINDS[kind]).items():
+            yield from (Source(table, name, quantity, k, pairs) for k, quantity in enumerate(quantities))
 
 
 def _term(value: float, sigma: float, determined: bool) -> str:
@@ -272,56 +196,48 @@ def _term(value: float, sigma: float, determined: bool) -> str:
 def calibration_charts(calibration: Calibration, report: Report) -> dict[str, tuple[list[Chart], list[Chart]]]:
     """Of each table with sources, by what they are called: readings against the truth, and errors over the floor."""
     charts = {}
-    for number, kind in enumerate(TABLES):
-        sources = [one for one in report.sources if one.table == number and np.isfinite(one.errors(None)).any()]
-        shown = sources[: SHOWN if number else 2 * SHOWN]
-        if shown:
-            readings = [
-                Chart(f"{kind}-{one.name}-{one.quantity}", one.title, partial(_readings, one, calibration))
-                for one in shown
-            ]
-            charts[kind] = readings, _floor_charts(shown, calibration, kind)
+    for kind in SECTIONS:
+        sources = [one for one in report.sources if one.table == kind and np.isfinite(one.measured).any()]
+        if shown := sources[: 2 * SHOWN if kind == "stations" else SHOWN]:
+            charts[kind] = [_readings(one, calibration) for one in shown], _floor_charts(shown, calibration)
     return charts
 
 
-def _readings(source: Source, calibration: Calibration, axes: Axes) -> None:
+def _readings(source: Source, calibration: Calibration) -> Chart:
     """Readings before and after calibration against true values, with the fit and its 95 % interval."""
     pairs, k = source.pairs, source.column
-    seen = np.flatnonzero(np.isfinite(pairs.measured[:, k]))
+    seen = np.flatnonzero(np.isfinite(source.measured))
     true = pairs.true[seen, k]
     at = np.linspace(true.min(), true.max(), CURVE)
-    terms, covariance, _, _ = source.fit(calibration)
+    terms, covariance, _ = source.fit(calibration)
     if source.is_angle:
         # The curve of one angle is that at the median of the other.
         angles = np.repeat(np.median(pairs.true, axis=0)[None], CURVE, axis=0)
         angles[:, k] = at
         factors = angle_terms(angles, calibration.stations[source.name].spans)[:, k]
-        # Errors of a few centimetres of ranges of metres are visible only by themselves.
-        fitted, shown, factor, unit = factors @ terms, true, DEGREES, "°"
+        shown, none, factor, unit, what = true, at, 180 / np.pi, "°", "measured"
     else:
+        # Errors of a few centimetres of ranges of metres are visible only by themselves.
         factors = range_terms(at)[:, : len(terms)]
-        fitted, shown, factor, unit = factors @ terms, np.zeros(len(true)), 1.0, "m"
-    half = 1.96 * np.sqrt(np.einsum("ki,ij,kj->k", factors, covariance, factors))
+        shown, none, factor, unit, what = 0 * true, 0 * at, 1.0, "m", "error of"
+    fitted, half = factors @ terms, 1.96 * np.sqrt(np.einsum("ki,ij,kj->k", factors, covariance, factors))
     part = slice(None, None, -(-len(seen) // POINTS))
-    values = [factor * (shown + source.errors(of)[seen])[part] for of in (None, calibration)]
-    for y, colour, label in zip(values, (BEFORE, BLUE), ("as measured", "calibrated"), strict=True):
-        axes.plot(factor * true[part], y, ".", color=colour, markersize=3.5, label=label)
-    x, none = factor * at, factor * at if source.is_angle else np.zeros(CURVE)
-    axes.plot(x, none, color=BLACK, linewidth=0.9, linestyle=(0, (4, 2)), label="no error")
-    axes.plot(x, factor * fitted, color=VERMILION, linewidth=1.4, label="fit")
-    low, high = factor * (fitted - half), factor * (fitted + half)
-    axes.fill_between(x, low, high, color=VERMILION, alpha=0.25, linewidth=0, label="its 95 % interval")
-    bottom, top = np.quantile(np.concatenate(values), (0.005, 0.995))
-    margin = 0.08 * max(top - bottom, 1e-6)
-    axes.set(ylim=(bottom - margin, top + margin), xlabel=f"true {source.quantity} ({unit})")
-    axes.set_ylabel(f"{'measured' if source.is_angle else 'error of'} {source.quantity} ({unit})")
-    axes.set_title(literal(source.title), pad=30)
-    legend_above(axes, 3)
+    measured, calibrated = (factor * (shown + source.errors(of)[seen])[part] for of in (None, calibration))
+    parts = [Line(factor * true[part], measured, "as measured", BEFORE, 0.0, marker="circle", size=3)]
+    parts.append(Line(factor * true[part], calibrated, "calibrated", BLUE, 0.0, marker="circle", size=3))
+    parts.append(Line(factor * at, factor * none, "no error", BLACK, 0.9, "dash"))
+    interval = factor * (fitted - half), factor * (fitted + half)
+    parts.append(band(factor * at, *interval, "its 95 % interval", VERMILION, 0.25))
+    parts.append(Line(factor * at, factor * fitted, "fit", VERMILION, 1.4))
+    labels = f"true {source.quantity} ({unit})", f"{what} {source.quantity} ({unit})"
+    name = f"{source.table}-{source.name}-{source.quantity}"
+    return Chart(name, f"{source.name}: {source.quantity}", *labels, parts, robust=True)
 
 
-def _floor_charts(sources: Sequence[Source], calibration: Calibration, kind: str) -> list[Chart]:
+def _floor_charts(sources: Sequence[Source], calibration: Calibration) -> list[Chart]:
     """Median errors after calibration over the floor, in squares, a chart for each source, all with one scale."""
-    errors = [(DEGREES if source.is_angle else 1.0) * source.errors(calibration) for source in sources]
+    factor, unit = (180 / np.pi, "°") if sources[0].is_angle else (1.0, "m")
+    errors = [factor * source.errors(calibration) for source in sources]
     places = [source.pairs.positions[np.isfinite(own), :2] for source, own in zip(sources, errors, strict=True)]
     squares = np.floor(np.concatenate(places) / SQUARE)
     edges = [SQUARE * np.arange(x.min(), x.max() + 2) for x in squares.T]
@@ -330,57 +246,33 @@ def _floor_charts(sources: Sequence[Source], calibration: Calibration, kind: str
         for place, own in zip(places, errors, strict=True)
     ]
     largest = float(np.nanquantile(np.abs(np.concatenate([m.ravel() for m in medians])), 0.97)) or 1.0
-
-    def draw(axes: Axes, source: Source, median: np.ndarray) -> None:
-        mesh = axes.pcolormesh(*edges, median.T, cmap="RdBu_r", norm=Normalize(-largest, largest))
-        axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-        axes.set_title(literal(source.title))
-        bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.8, extend="both")
-        bar.set_label(f"median error ({'°' if source.is_angle else 'm'})", color=GREY)
-
+    x, y = (of[:-1] + SQUARE / 2 for of in edges)
+    look: dict[str, Any] = {"equal": True, "width": NARROW, "height": None}
     return [
-        Chart(f"{kind}-floor-{one.name}-{one.quantity}", one.title, partial(draw, source=one, median=m), NARROW, None)
-        for one, m in zip(sources, medians, strict=True)
-    ]
+        Chart(f"{one.table}-floor-{one.name}-{one.quantity}", f"{one.name}: {one.quantity}", "x (m)", "y (m)",
+              [Field(x, y, median.T, f"median error ({unit})", "RdBu", -largest, largest)], **look)
+        for one, median in zip(sources, medians, strict=True)
+    ]  # fmt: skip
 
 
-def write_calibration_report(
-    out: Path,
-    calibration: Calibration,
-    report: Report,
-    charts: dict[str, tuple[list[Chart], list[Chart]]],
-    command: Sequence[str],
-) -> Path:
+def write_calibration_report(out: Path, calibration: Calibration, report: Report, command: Sequence[str]) -> Path:
     """Writes the page beside the file `out`, with its name and the ending .html; returns the path."""
     recordings, tables = calibration.recordings, report.tables
-    words = {"stations": "station", "anchors": "anchor", "differences": "anchor"}
-    counts = {name: len({row[0] for row in tables[name].rows}) for name in TABLES if name in tables}
-    of = [
-        counted(count, words[name]) + " in range differences" * (name == "differences")
-        for name, count in counts.items()
-    ]
-    summary = f"Systematic errors of {listed(of)}, from recordings with truth: {listed(recordings, 12)}."
+    counts = {name: len({row[0] for row in table.rows}) for name, table in tables.items() if name != "tags"}
+    words = {"stations": "station", "anchors": "anchor", "differences": "anchor in range differences"}
+    of = listed([counted(count, words[name]) for name, count in counts.items()])
+    summary = f"Systematic errors of {of}, from recordings with truth: {listed(recordings, 12)}."
     if len(recordings) < 2:
         summary += " With a second recording this page would show the errors of readings that were left out."
-    lacking = (
-        "Terms that these recordings leave near their values before any of them, with a standard error of more than "
-        "0.7 of that before: the tag moved over too small a range of angles or distances, or the recordings are too "
-        "short."
-    )
     figures: list[str | list[Chart]] = []
-    for kind, (readings, floor) in charts.items():
+    for kind, (readings, floor) in calibration_charts(calibration, report).items():
         over = (
-            f"Errors of calibrated {kind} over the floor: median errors after calibration in squares of half a metre. "
-            "Errors of one sign over large parts of the floor are systematic errors that the terms do not describe."
+            f"Median errors of calibrated {kind} in squares of half a metre. Errors of one sign over large parts of "
+            "the floor are systematic errors that the terms do not describe."
         )
         figures += [f"Calibration of {kind}", readings, over, floor]
     most = f"Of the first {SHOWN} stations and anchors." if max(counts.values(), default=0) > SHOWN else ""
-    none = [] if report.undetermined else ["These recordings determine all terms."]
-    sections = [
-        *tables.values(),
-        Section("Not determined", ("source", "terms"), report.undetermined, 2, "" if none else lacking, parts=none),
-        Section("Figures", note=most, parts=figures),
-    ]
+    sections = [*tables.values(), Section("Figures", note=most, parts=figures)]
     title = f"Calibration on {counted(len(recordings), 'recording')}"
     use = f"trackwright track RECORDING --calibration {out} --out out/tracks"
     text = report_page("calibration", title, [summary, report.note], sections, [use, typed(command)])

@@ -20,22 +20,10 @@ from trackwright.trackers.recordings.atomic import atomic_write
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-CHART = '<img src="data:image/svg+xml;base64,'
-"""How an image of a chart begins in a page."""
 
-
-def page(template: str, command: Sequence[str] = (), **content: Any) -> str:
-    """The page of a template; all text is escaped. Its charts can be zoomed and moved, and show their numbers.
-
-    `command`: the arguments of the program that writes it, the first one its path.
-    """
-    environment = _environment()
-    text = environment.get_template(template).render(words=typed(command), **content)
-    if CHART not in text:
-        return text
-    scripts = environment.get_template("moving.html").render()
-    before, end, after = text.rpartition("</body>")
-    return before + scripts + end + after
+def page(template: str, **content: Any) -> str:
+    """The page of a template; all text is escaped."""
+    return _environment().get_template(template).render(**content)
 
 
 def report_page(
@@ -49,8 +37,9 @@ def report_page(
 ) -> str:
     """A report: a `summary` in paragraphs, warnings, sections, without those that are empty, and commands as typed."""
     shown = [section for section in sections if section.rows or any(section.parts)]
+    moving = any(isinstance(part, list) and part for section in shown for part in section.parts)
     told = {"summary": [*filter(None, summary)], "warnings": warnings, "commands": commands, "foot": foot}
-    return page("report.html", kind=kind, title=title, sections=shown, **told)
+    return page("report.html", kind=kind, title=title, sections=shown, moving=moving, **told)
 
 
 def typed(command: Sequence[str]) -> str:
@@ -81,6 +70,7 @@ def _environment() -> Environment:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     made.filters["cell"] = _cell
+    made.filters["json"] = lambda content: Markup(script_json(content))
     made.globals["plotting_script"] = _plotting_script
     return made
 
@@ -93,22 +83,11 @@ def _plotting_script() -> Markup:
     return Markup((Path(spec.origin).parent / "package_data" / "plotly.min.js").read_text(encoding="utf-8"))
 
 
-TYPES = {"t": "f8", "tag": "u2", "source": "u2"}
-"""Types of columns that are no `f4`, in which times after a jump of the clock would run together."""
-
-
 def packed(values: np.ndarray, kind: str = "f4") -> dict[str, str]:
     """An array (n,) as plotly.js takes typed arrays: its kind, as `f4`, and its bytes in base64."""
     with np.errstate(over="ignore", invalid="ignore"):
         array = np.ascontiguousarray(values, np.dtype(kind).newbyteorder("<"))
     return {"dtype": kind, "bdata": base64.b64encode(array.tobytes()).decode("ascii")}
-
-
-def rounded(value: float | None, digits: int = 4) -> float | None:
-    """The number with so many significant digits, a count with all; None for one that is not finite."""
-    if isinstance(value, int):
-        return value
-    return None if value is None or not np.isfinite(value) else float(f"{value:.{digits}g}")
 
 
 def script_json(content: Any) -> str:

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
-from trackwright.experiments.pages.charts.floor import PlanPath, draw_plan
-from trackwright.experiments.pages.charts.style import BLUE, GREY, Chart
+from trackwright.experiments.pages.charts.floor import PlanPath, plan
+from trackwright.experiments.pages.charts.style import BLUE, GREY
 from trackwright.experiments.pages.reports.pages import report_page, typed, write_page
 from trackwright.experiments.text.tables import Section
 from trackwright.trackers.core.wording import counted
@@ -32,24 +31,15 @@ def survey_data(survey: Survey) -> dict[str, Any]:
 
 def write_survey_page(out: Path, survey: Survey, command: Sequence[str]) -> Path:
     """Writes the page beside the file `out`, with its name; returns its path."""
-
-    def draw(axes: Axes) -> None:
-        drawn = np.flatnonzero(survey.half_widths[:, :2].max(axis=1) < 2.0).tolist()
-        places, covs = survey.positions[drawn, :2], np.reshape([survey.block(k)[:2, :2] for k in drawn], (-1, 2, 2))
-        paths = [PlanPath("" if k else "walk", GREY, path[:, :2]) for k, path in enumerate(survey.paths)]
-        paths.append(PlanPath("", BLUE, np.full((1, 2), np.nan), places, covs, "95 % ellipse"))
-        draw_plan(axes, paths, [], survey.rig)
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4)
-
-    chart = Chart("survey", "Anchors with 95 % ellipses over the walks", draw, 7.0, None)
+    drawn = np.flatnonzero(survey.half_widths[:, :2].max(axis=1) < 2.0).tolist()
+    places, covs = survey.positions[drawn, :2], np.reshape([survey.block(k)[:2, :2] for k in drawn], (-1, 2, 2))
+    paths = [PlanPath("" if k else "walk", GREY, path[:, :2]) for k, path in enumerate(survey.paths)]
+    paths.append(PlanPath("", BLUE, np.full((1, 2), np.nan), places, covs, "95 % ellipse"))
+    chart = plan("survey", "Anchors with 95 % ellipses over the walks", paths, [], survey.rig)
     walks, anchors = counted(len(survey.paths), "walk"), counted(len(survey.names), "anchor")
     notes = "".join(f" {note[0].upper()}{note[1:]}." for note in survey.notes)
     summary = f"Positions and delays of {anchors} from {walks} without truth.{notes}"
-    looks = {survey.head[-1]: "long"}
-    sections = [
-        Section("Anchors", survey.head, survey.rows(), 1, survey.reading, looks),
-        Section("Over the walks", parts=[[chart]]),
-    ]
+    table = Section("Anchors", survey.head, survey.rows(), 1, survey.reading, {survey.head[-1]: "long"}, [[chart]])
     use = f"trackwright track RECORDING --out out/tracks, with {out} as its rig.toml"
-    text = report_page("survey", f"Survey of {survey.rig.name}", [summary], sections, [use, typed(command)])
+    text = report_page("survey", f"Survey of {survey.rig.name}", [summary], [table], [use, typed(command)])
     return write_page(out.with_suffix(".html"), text)

@@ -2,9 +2,8 @@
 
 /** The value of a colour of the style sheet in the theme of the moment. */
 function themed(name) {
-  const probe = document.createElement("i");
+  const probe = document.body.appendChild(document.createElement("i"));
   probe.style.color = `var(--${name})`;
-  document.body.append(probe);
   const colour = getComputedStyle(probe).color;
   probe.remove();
   return colour;
@@ -23,26 +22,21 @@ function layoutOf(settings) {
     modebar: { orientation: "v", bgcolor: "rgba(0,0,0,0)", color: soft, activecolor: ink },
     ...settings,
   };
-  for (const name of Object.keys(layout)) {
-    if (/^[xy]axis\d*$/.test(name)) layout[name] = { ...axis, ...layout[name] };
-  }
+  for (const name of Object.keys(layout).filter((name) => /^[xy]axis\d*$/.test(name))) layout[name] = { ...axis, ...layout[name] };
   return layout;
 }
 
-const INK = /rgba\((29,39,51|0,0,0),/, BLUE = /rgba\(0,114,178,1\)/;
-
-/** The traces with black and blue in the colours of the page. */
-function inTheme(traces) {
-  const [ink, blue] = ["ink", "blue"].map(themed);
-  const swap = (colour) => !colour ? colour : INK.test(colour) ? ink : BLUE.test(colour) ? blue : colour;
-  return traces.map((trace) => ({
-    ...trace, line: { ...trace.line, color: swap(trace.line.color) },
-    ...(trace.marker ? { marker: { ...trace.marker, color: swap(trace.marker.color) } } : {}),
-  }));
+/** A chart that Python describes, with black and blue in the colours of the page. */
+function drawChart(place, { data, layout, height }) {
+  const theme = { "#000000": themed("ink"), "#1d2733": themed("ink"), "#0072b2": themed("blue") };
+  const coloured = (part) => part && { ...part, color: theme[part.color] ?? part.color };
+  const traces = data.map((trace) => ({ ...trace, line: coloured(trace.line), ...trace.marker && { marker: coloured(trace.marker) } }));
+  const longest = Math.max(...data.map(({ name, showlegend }) => showlegend ? name.length : 0));
+  const abreast = Math.max(1, Math.floor((place.clientWidth - 60) / (45 + 6.5 * longest)));
+  const above = 20 * Math.ceil(data.filter((trace) => trace.showlegend).length / abreast);
+  place.style.height = `${Math.max(240, Math.min(place.clientWidth * height, 430)) + above}px`;
+  Plotly.react(place, traces, layoutOf({ ...layout, margin: { l: 50, r: 12, t: 16 + above, b: 44 } }), CONFIG);
 }
-
-/** Pixels of a legend above a chart with so many names abreast. */
-const legendHeight = (traces, abreast) => 20 * Math.ceil(traces.filter((trace) => trace.showlegend).length / abreast);
 
 // Named one by one: by default there is a button that uploads the chart to a server.
 const CONFIG = {
@@ -50,8 +44,6 @@ const CONFIG = {
   modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]],
 };
 
-// A phone has no room for the toolbar, paper none for plotly's hints.
-const rules = document.createElement("style");
-rules.textContent = "@media (max-width: 599px) { .modebar-container { display: none } } " +
-  "@media print { .modebar-container, .plotly-notifier { display: none !important } }";
-document.head.append(rules);
+for (const event of ["beforeprint", "afterprint"]) {
+  addEventListener(event, () => document.querySelectorAll(".js-plotly-plot").forEach((plot) => Plotly.Plots.resize(plot)));
+}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
 
 
@@ -30,3 +30,18 @@ def write_archive(folder: Path, count: int, rows: int = 40) -> list[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_recording(recording(path.name, k, rows), path)
     return paths
+
+
+def random_walk(path, seed, sigma, rows=200, truth=True):
+    """Fixes of a tag that walks at random over the floor, with errors of `sigma` m, and its truth."""
+    rng = np.random.default_rng(seed)
+    place = np.cumsum(0.05 * rng.normal(size=(rows, 3)), axis=0) * [1, 1, 0] + [2.0, 3.0, 1.0]
+    tables = {
+        kind: pl.DataFrame(
+            {"t_s": np.arange(rows) * 0.2, "tag": "7"} | {f"{a}_m": values[:, k] for k, a in enumerate("xyz")}
+        )
+        for kind, values in (("fixes", place + sigma * rng.normal(size=place.shape)), ("truth", place))
+        if truth or kind == "fixes"
+    }
+    write_recording(RecordingFolder(path.name, None, Rig(path.name, tags={"7": Tag(1.0)}), tables), path)
+    return path

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.in_process import trackwright
-from trackwright.experiments.cli.trackers import _simulated
+from trackwright.sim.examples import example_for
 from trackwright.trackers.catalogue import TRACKERS, build
 from trackwright.trackers.core.model.tunable import meanings
 
@@ -17,7 +17,7 @@ NOT_SIMULATED = ("bearings", "trilateration", "trilateration-compensated", "floo
 
 @pytest.mark.parametrize("name", sorted({*TRACKERS} - {*NOT_SIMULATED}))
 def test_a_docstring_says_what_each_tunable_is(name):
-    tracker = build(name, _simulated(name, TRACKERS[name].missing))
+    tracker = build(name, example_for(TRACKERS[name]))
     found = meanings(tracker.tracker)
     assert list(found) == list(tracker.tunables)
     for tunable, sentence in found.items():

@@ -45,7 +45,7 @@ def test_several_trackers_are_compared_in_one_table_with_paired_differences_and_
         ("median", "good"),
     ]
     # The distribution of errors, their boxes, and a floor plan by each tracker.
-    assert page.count('<img src="data:image/svg+xml;base64,') == 4
+    assert page.count('<div class="chart">') == 4
     assert "adjusted for" in page
 
 
@@ -68,7 +68,7 @@ def test_any_number_of_runs_is_compared_straight_after_track(compared, tmp_path)
     assert said.code == 0, said
     lines = [line.split() for line in said.out.splitlines() if line.strip().startswith("good ")]
     assert [line[1] for line in lines] == ["moving-average", "median", "kf"]
-    assert (tmp_path / "all" / "comparison-errors.png").is_file()
+    assert not (tmp_path / "all" / "comparison-errors.png").exists()
     contrasts = [line.split()[0] for line in said.out.splitlines() if " RMSE, " in line]
     assert contrasts == ["median", "kf"]
 

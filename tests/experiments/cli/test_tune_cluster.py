@@ -9,10 +9,10 @@ import pytest
 
 from tests.held_here import client_here
 from tests.in_process import trackwright
-from trackwright.experiments.cli import tuning_job
 from trackwright.experiments.jobs import executors
 from trackwright.sim import worlds
 from trackwright.trackers.recordings.folder import write_recording
+from trackwright.tuning import kept_fit
 from trackwright.tuning.fitting import fit
 
 FIT = (
@@ -87,7 +87,7 @@ def test_a_fit_interrupted_on_a_cluster_is_resumed_with_the_same_bits_there_or_h
     for again in ("--cluster", "x:1"), ():
         out = ("--out", tmp_path / f"again-{len(again)}")
         with monkeypatch.context() as patched:
-            patched.setattr(tuning_job, "fit", interrupted)
+            patched.setattr(kept_fit, "fit", interrupted)
             assert trackwright(*run, *out, "--cluster", "x:1").code == 130
         assert trackwright(*run, *out, *again, "--resume").code == 0
         for name in ("tuned.toml", "trace.csv"):

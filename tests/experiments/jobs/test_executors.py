@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import os
-import signal
-import time
-
 import pytest
 
 from tests.experiments.monte_carlo.small_study import TOML
@@ -46,24 +41,3 @@ def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):
         result = trackwright("study", file, "--out", tmp_path / "out", "--cluster", address)
     assert_refused(result, "worker tcp://", "trackwright: 0.0.1", "expected as here: ")
     assert not [*(tmp_path / "out").glob("chunks/*")]
-
-
-@pytest.mark.slow
-def test_a_local_worker_that_ends_twice_within_seconds_is_replaced():
-    dask = pytest.importorskip("dask")
-    pytest.importorskip("distributed")
-    # Dask gives up a worker that is not there this long after it was lost, though it may be starting a second time.
-    given_up_s = 6.0
-    with (
-        dask.config.set({"distributed.deploy.lost-worker-timeout": f"{given_up_s} s"}),
-        cluster_executor("local:1") as executor,
-    ):
-        began = time.monotonic()
-        for at_s in (0.0, given_up_s - 0.2):
-            time.sleep(max(0.0, began + at_s - time.monotonic()))
-            psutil = pytest.importorskip("psutil")
-            children = psutil.Process().children(recursive=True)
-            (worker,) = [child.pid for child in children if "spawn_main" in " ".join(child.cmdline())]
-            os.kill(worker, signal.SIGKILL)
-        time.sleep(1.0)
-        assert executor.submit(math.factorial, 5).result(60) == 120

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 
 from tests.experiments.monte_carlo.small_study import SMALL, sha
-from trackwright.experiments.monte_carlo.chunk_store import ChunkStore, merge_shards
+from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.runner import run_missing, run_study
+from trackwright.experiments.monte_carlo.store import ChunkStore, packed
 from trackwright.trackers.core.errors import UnusableInput
 
 
@@ -28,20 +31,25 @@ def finished(whole, tmp_path):
     return folder, sorted((folder / "chunks").glob("*.npz"))
 
 
-def test_chunks_in_another_order_and_shards_merged_give_the_same_numbers(whole, tmp_path):
+def test_chunks_in_another_order_and_in_shards_give_the_same_numbers(whole, tmp_path):
     backwards = ChunkStore(tmp_path / "backwards", SMALL).open()
     for condition in reversed(SMALL.conditions):
         for chunk in reversed(range(SMALL.chunks)):
             run_missing(backwards, [(condition.index, chunk)])
     assert sha(backwards.results({c.index: SMALL.runs for c in SMALL.conditions})) == whole[1]
-    parts = [tmp_path / f"part-{k}" for k in (1, 2)]
-    for k, part in enumerate(parts, start=1):
-        assert run_study(SMALL, part, (k, 2)) is None
+    shards = tmp_path / "shards"
+    assert run_study(SMALL, shards, (1, 2)) is None
     # What a killed process was writing is no chunk.
-    (parts[0] / "chunks" / ".trackwright-01234567-0000-000000.npz").write_bytes(b"half")
-    assert merge_shards(parts, tmp_path / "merged") == 4
-    assert not [*(tmp_path / "merged" / "chunks").glob(".*")]
-    assert sha(run_study(SMALL, tmp_path / "merged")) == whole[1]
+    (shards / "chunks" / ".trackwright-01234567-0000-000000.npz").write_bytes(b"half")
+    assert sha(run_study(SMALL, shards, (2, 2))) == whole[1]
+    assert not [*(shards / "chunks").glob(".*")]
+
+
+def test_a_chunk_of_another_study_is_computed_again(whole, finished):
+    folder, _ = finished
+    other = dataclasses.replace(SMALL, seed=1)
+    ChunkStore(folder, other).keep((0, 0), packed(run_chunk(other, other.conditions[0], np.arange(6), True)))
+    assert sha(run_study(SMALL, folder)) == whole[1]
 
 
 @pytest.mark.parametrize("kept", [0, 0.99])

@@ -235,7 +235,7 @@ def test_until_ends_a_condition_as_soon_as_its_interval_is_narrow_enough(tmp_pat
         (("rate_hz = 1.0", "seed = 1"), "parameter 'seed' is unknown; expected one of situation, speed, rate_hz"),
         (
             ("[worlds.line]", "[worlds.mine]\nworld = 'line'"),
-            "'worlds.mine.world' is unknown; the world is kind = 'line'",
+            "worlds.mine.world is unknown; the world is kind = 'line'",
         ),
         (("rate_hz = 1.0", "rate_hz = 0.0"), "rate_hz = 0.0: expected a number from 0.1 to 1000"),
         (("[worlds.line]", "[worlds.lime]"), "lime"),

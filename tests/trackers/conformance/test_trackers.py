@@ -83,6 +83,11 @@ FAULTS = {
     "accumulate": (lambda: CountedTwice(averaged()), {"accumulate"}, "by `accumulate`, .* by `scan`"),
     "gradient": (lambda: averaged(held=True), {"gradient"}, "by sigma is 0, by difference quotients"),
     "consistency": (lambda: kalman(Altered(of_cov=0.25)), {"consistency"}, "NEES .* are too small"),
+    "run: finite": (
+        lambda: kalman(change=lambda r, z: r._replace(log_scale=r.log_scale / (z.values[0] - z.values[0]))),
+        {"run"},
+        "row .* of recording 0 is not finite; usual fix: check_motion",
+    ),
     "run": (lambda: kalman(start=Unsure()), {"run"}, "a track runs in 0% of the rows"),
 }  # fmt: skip
 """By the check that finds it: a tracker with a fault, all checks that fail with it, and what the sentence says."""
@@ -117,12 +122,6 @@ def test_errors_of_another_size_are_named():
             compare_errors(world, replace(world.estimates, cov_upper=factor * world.estimates.cov_upper))
 
 
-def test_values_that_are_not_finite_are_named_with_their_row():
-    broken = kalman(change=lambda r, z: r._replace(log_scale=r.log_scale / (z.values[0] - z.values[0])))
-    found = tw.tracker_checks(broken, recordings())[0].result
-    assert re.search("row .* of recording 0 is not finite; usual fix: check_motion", found.sentence), found
-
-
 @pytest.mark.slow
 def test_a_linear_tracker_passes_all_checks():
     report = tw.check_tracker(kalman())
@@ -152,11 +151,3 @@ def test_a_tracker_that_reads_inputs_or_is_no_filter_needs_recordings():
         tw.UnusableInput, match=r"found a Tracker of the inputs height.*; usual fix: check_tracker\(mine"
     ):
         tw.check_tracker(tw.fix_tracker(planar=True))
-
-
-def test_recordings_without_what_a_tracker_reads_are_refused_in_the_first_check():
-    other = [tw.Recording(r.times, {"fixes": r.readings["places"]}) for r in recordings()]
-    first, *others = tw.check_tracker(averaged(), other)
-    assert first.outcome == "fail"
-    assert "found readings of fixes; expected 'places'" in first.sentence
-    assert {one.outcome for one in others} == {"skip"}

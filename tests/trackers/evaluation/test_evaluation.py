@@ -13,11 +13,10 @@ from scipy.stats import chi2, multivariate_normal
 
 import trackwright as tw
 from tests.trackers.evaluation.tables import evaluate_table
-from trackwright.experiments.cli.evaluating import violation
 from trackwright.experiments.text.evaluation_text import to_json, to_text
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Station
-from trackwright.trackers.evaluation.evaluate import evaluate, rows_of
+from trackwright.trackers.evaluation.evaluate import evaluate, rows_of, violation
 from trackwright.trackers.evaluation.judge import energy_scores
 from trackwright.trackers.evaluation.rows import scored_rows
 

@@ -9,7 +9,7 @@ import pytest
 import trackwright as tw
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.evaluation.events import events_of
+from trackwright.trackers.evaluation.events import events_of, off_the_path
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 ANCHORS = {
@@ -59,3 +59,17 @@ def test_a_tag_that_leaves_its_line_has_an_event_and_one_when_it_returns(measure
     assert 8 < left["t_s"] < 10
     # excursions end once the sum of what exceeds the slack is used up
     assert 15 < back["t_s"] < 23
+
+
+def test_a_tag_beside_its_prescribed_path_is_told_with_the_distance_and_the_way_back(beginnings):
+    folder = tw.read(beginnings / "good")
+    trajectory = next(iter(spec_of("bearings").trajectories(folder, False)))
+    times = np.arange(0.0, 12.0, 0.1)
+    # The path runs along y = 1 m from x = 1 to 5 m; from 4 to 8 s the tag is 0.9 m beside it.
+    beside = np.where((times >= 4) & (times < 8), 0.9, 0.0)
+    tracks = pl.DataFrame({"t_s": times, "x_m": 1 + times / 3, "y_m": 1 - beside, "std_x_m": 0.05, "std_y_m": 0.05})
+    (left, off, far), (back, on, _) = off_the_path(trajectory, tracks)
+    assert (off, on) == ("off the prescribed path", "back on the path")
+    assert left == pytest.approx(4.0, abs=0.11)
+    assert 8.0 < back < 11.0
+    assert far == "up to 0.90 m from it"

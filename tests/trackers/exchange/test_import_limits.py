@@ -8,7 +8,6 @@ import pytest
 
 from tests.bags import write_bag
 from tests.in_process import trackwright
-from trackwright import read
 
 POSES = ("--table", "truth", "--tag", "T")
 BAG = ("--table", "truth", "--topic", "/vicon/cart", "--tag", "T")
@@ -50,20 +49,6 @@ def test_a_large_file_and_one_without_an_end_are_refused_before_they_are_read(tm
     words = _refused(tmp_path / name, *SOURCES[name], "--out", tmp_path / "out")
     assert ("holds more than" if what == "large" else "is a pipe or device, not a file") in words
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("kind", "packed"),
-    [("bag", "bz2"), ("bag", "lz4"), ("mcap", "STORAGE"), ("db3", "MESSAGE"), ("db3", "FILE"), ("mcap", "FILE")],
-)
-def test_a_packed_bag_is_imported_as_one_that_is_not(tmp_path, kind, packed):
-    for name, how in (("plain", None), ("packed", packed)):
-        bag = tmp_path / (f"{name}.bag" if kind == "bag" else name)
-        write_bag(bag, kind, how)
-        assert trackwright("import", bag, *BAG, "--out", tmp_path / f"of-{name}").code == 0
-    plain, other = (read(tmp_path / f"of-{name}").tables for name in ("plain", "packed"))
-    assert plain.keys() == other.keys()
-    assert all(plain[table].equals(other[table]) for table in plain)
 
 
 @pytest.mark.parametrize("outside", ["../other/other.mcap", "/proc/self/mem"])

@@ -182,19 +182,6 @@ def _xyz(*place):
     return dict(zip("xyzw", map(float, place), strict=False))
 
 
-def test_util_bags_have_units_of_the_crazyflie(tmp_path):
-    felt = {"linear_acceleration": _xyz(0, 0, 1), "angular_velocity": _xyz(180, 0, 0)}
-    messages = [(0.2, "/imu_data", "sensor_msgs/msg/Imu", felt)]
-    for t, p, (a, b, d) in zip(T, POSES, _differences(_tag(*OF_UTIL)), strict=True):
-        pose = {"pose": {"pose": {"position": _xyz(*p[:3]), "orientation": _xyz(*p[3:])}}}
-        messages.append((t, "/pose_data", "geometry_msgs/msg/PoseWithCovarianceStamped", pose))
-        messages.append((t, "/tdoa_data", "cf_msgs/msg/Tdoa", {"idA": a, "idB": b, "data": d}))
-    _bag(tmp_path / "const1.bag", messages)
-    recording = _imported(tmp_path, "const1.bag", "util", *_anchors(tmp_path / "survey.txt", "an{}_p,{},{},{}\n"))
-    _agrees(recording, 6)
-    assert recording.tables["imu"].rows()[0] == pytest.approx((0.2, "cf", 0, 0, 9.80665, np.pi, 0, 0))
-
-
 def test_isas_walks_have_z_down_nested_ranges_and_failed_exchanges(tmp_path):
     messages = [(0.2, "/waveshare_sense_hat_b", "sensor_msgs/msg/Imu", {"linear_acceleration": _xyz(0, 0, 9.9)})]
     down, far = np.array([1, -1, -1]), _far(BODY + [0.1, -0.025, 0])

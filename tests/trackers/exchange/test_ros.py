@@ -83,15 +83,6 @@ def test_a_bag_becomes_a_recording(bags, tmp_path, name):
     assert tables["odometry"].row(0, named=True)["speed_mps"] == pytest.approx(1.0)
 
 
-def test_the_time_of_reception_can_be_taken(bags, tmp_path):
-    said = trackwright(
-        "import", bags / "ros2-mcap", "--table", "truth", "--topic", "/vicon/cart", "--columns", "t_s=received", "--tag", "c",
-        "--out", tmp_path / "x",
-    )  # fmt: skip
-    assert said.code == 0, said.err
-    assert pl.read_parquet(tmp_path / "x" / "truth.parquet")["t_s"][0] == pytest.approx(START + 0.005, abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -93,29 +93,28 @@ def test_a_calibration_is_read_back_to_the_bit(path):
 @pytest.mark.parametrize(
     ("before", "after", "words"),
     [
-        ("format = 1", "format = 2", "format = 2, expected `format = 1`"),
-        ("format = 1\n", "", "no `format`"),
-        ("rows = 812\n", "", "[stations.S 1] has no rows"),
-        ("range_spread_m = 0.0583", "range_spread_m = 0", "range_spread_m = 0, expected a number above zero"),
-        ("slope = 0.01", "slope = nan", "anchors.A.slope = nan, expected a finite number"),
-        ("slope = 0.01", "slope = -1.5", "slope = -1.5, expected a number above -1"),
-        ("bias_m = 0.", "bias_m = -50.", "anchors.A.bias_m = -50.1, expected at most 10 m: looks like millimetres"),
-        ("position_m = [\n    1.0", "position_m = [\n    nan", "anchors.A.position_m = [nan, 2.0, 2.5], expected a list of 3 finite"),
-        ("standard_error_m = 0.01", "standard_error_m = -0.01", "standard_error_m = -0.01, expected a number of zero"),
-        ("lowest_m = 0.4", "lowest_m = 9.0", "lowest_m = 9 is above highest_m = 7"),
-        ("[stations", "[range_quality]\nslope = 1.0\n\n[stations", "unknown key 'range_quality'"),
-        ("gain = 0.41\n", "", "[bearing_map] has no gain"),
-        ("        3.25,", "        nan,", "[nan, 2.0, 0.05, 0.1]], expected 2 lists of 4 finite numbers"),
-        ('[bearing_map.stations]\n', '[bearing_map.stations]\n"S 2" = []\n', "bearing_map.stations.S 2 = [], expected a list of visits"),
+        ("format = 1", "format = 2", "format = 2, expected the calibration.toml of `trackwright calibrate`, format = 1"),
+        ("format = 1\n", "", "no format, expected"),
+        ("rows = 812\n", "rows = -812\n", "stations.S 1.rows = -812, expected greater than or equal to 0"),
+        ("range_spread = 0.0583", "range_spread = 0", "range_spread = 0, expected greater than 0"),
+        ("    0.01,\n]\ncovariance", "    nan,\n]\ncovariance", "anchors.A.coefficients = [0.1, nan], expected finite numbers"),
+        ("    0.01,\n]\ncovariance", "    -1.5,\n]\ncovariance", "anchors.A: bias 0.1 m and slope -1.5, expected"),
+        ("    0.1,\n    0.01,\n]\ncov", "    -50.1,\n    0.01,\n]\ncov", "anchors.A: bias -50.1 m and slope 0.01, expected at most 10 m"),
+        ("position = [\n    1.0", "position = [\n    nan", "anchors.A.position = [nan, 2.0, 2.5], expected finite numbers"),
+        ("position = [\n    1.0,", "position = [", "anchors.A.position = [2.0, 2.5], expected numbers of shape 3"),
+        ("sigma = 0.01", "sigma = -0.01", "tags.1.sigma = -0.01, expected greater than or equal to 0"),
+        ("span = [\n    0.4", "span = [\n    9.0", "anchors.A: span = [[9.0, 7.0]], expected the lowest before the highest"),
+        ("[stations", "[range_quality]\nslope = 1.0\n\n[stations", "range_quality is no key of it"),
+        ("gain = 0.41\n", "", "bearing_map.gain is missing"),
+        ("        3.25,", "        nan,", "[nan, 2.0, 0.05, 0.1]], expected finite numbers"),
         ('[bearing_map.stations]\n', '[bearing_map.stations]\n"S 3" = [[0.0, 0.0, 0.0, 0.0]]\n', "bearing_map has station 'S 3', which is not calibrated"),
-        ("spread_m = 0.0625", "spread_m = 0", "tdoa.spread_m = 0, expected a number above zero"),
-        ("    70,\n", "", "tdoa.rows = [71], expected a list of 2 counts"),
-        ('    "B",\n', '    "A",\n', "tdoa.anchors = ['A', 'A'], expected each name once"),
+        ("    70,\n", "", "differences: anchors = ['A', 'B'], expected each once"),
+        ('    "B",\n', '    "A",\n', "differences: anchors = ['A', 'A'], expected each once"),
     ],
 )  # fmt: skip
 def test_other_content_is_refused_in_one_line(path, before, after, words):
     text = path.read_text("utf-8")
-    assert before in text
+    assert before in text, text
     path.write_text(text.replace(before, after, 1), "utf-8")
     with pytest.raises(UnusableInput, match=re.escape(words)) as refusal:
         read_calibration(path)
@@ -124,7 +123,5 @@ def test_other_content_is_refused_in_one_line(path, before, after, words):
 
 
 def test_a_matrix_that_is_no_covariance_is_refused(path):
-    broken = Calibration({}, {"A": AnchorCalibration(np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), 30)})
-    write_calibration(broken, path)
-    with pytest.raises(UnusableInput, match=r"anchors\.A\.covariance is no covariance"):
-        read_calibration(path)
+    with pytest.raises(UnusableInput, match="no covariance"):
+        AnchorCalibration(np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), 30)

@@ -53,8 +53,11 @@ def test_a_station_looks_and_stands_as_the_page_says(tmp_path, lines, looks, up)
     ("lines", "words"),
     [
         ("pitch_deg = 10", "or yaw_deg instead"),
-        ("rotation_wxyz = [1.0, 0.0, 0.0, 0.0]\nyaw_deg = 3", "rotation_wxyz and yaw_deg, expected one"),
-        ("yaw_deg = 'north'", "expected a finite number"),
+        (
+            "rotation_wxyz = [1.0, 0.0, 0.0, 0.0]\nyaw_deg = 3",
+            "rotation_wxyz and yaw_deg, pitch_deg or roll_deg, expected one",
+        ),
+        ("yaw_deg = 'north'", "yaw_deg = 'north', expected a valid number"),
     ],
 )
 def test_an_unclear_attitude_is_refused(tmp_path, lines, words):

@@ -5,9 +5,9 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackwright.experiments.cli.tracking import mirrored_heights
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.evaluation.cautions import mirrored_heights
 from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.folder import RecordingFolder
 

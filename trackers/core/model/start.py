@@ -19,10 +19,11 @@ class AbstractStart(eqx.Module):
     """The prior of a track, from the measurements of a single row; used at the start and after track loss.
 
     `smooth`: the candidate is differentiable with respect to the sensors' parameters (a weighted mean is, an argmax
-    is not).
+    is not). `known`: the belief is known before the first row, whose measurements update it; else they are its source.
     """
 
     smooth: ClassVar[bool] = False
+    known: ClassVar[bool] = False
 
     @property
     def inputs(self) -> tuple[Input, ...]:

@@ -30,14 +30,14 @@ CHUNK = 512
 """Trajectories per chunk: enough to amortise the overhead of a step, few enough for the cache."""
 
 
-FEW_SMALL, FEW_LARGE = 16, 64
-"""Most trajectories that run in pieces of few, with a small state and with one of `MANY_NOISES` or more noises.
+FEW_LARGE, FEW_GRADIENTS = 40, (16, 64)
+"""Most trajectories that run in pieces of few with a large state, and in gradients with a small and a larger one.
 
-The program of few compiles in a half to a quarter of the time, and for a large state a row costs about as much as in
-the program of many, in gradients a fifth to a half.
+There the program of few compiles in a half to a quarter of the time, and a row costs as much or less.
 """
 
-MANY_NOISES = 10
+LARGE, LARGE_IN_GRADIENTS = 15, 10
+"""Noises of a motion from which on the state counts as large."""
 
 LONG = 1000
 """Rows from which on these run one by one, which costs least; a call takes a millisecond, as long as hundreds of rows.
@@ -71,28 +71,35 @@ def as_dtype(tree: Tree, dtype: DTypeLike) -> Tree:
     return result
 
 
-def has_large_state(tracker: Any) -> bool:
-    """Whether a motion of the tracker has many noises, so that its program of many trajectories compiles for long."""
+def most_few(tracker: Any, gradient: bool = False) -> int:
+    """The most trajectories that run in pieces of few, by the noises of the tracker's motions."""
 
     def is_motion(x: Any) -> bool:
         return isinstance(x, AbstractMotion)
 
     leaves = jax.tree_util.tree_leaves(tracker, is_leaf=is_motion)
-    return any(is_motion(x) and x.noise_dimension >= MANY_NOISES for x in leaves)
+    noises = max((x.noise_dimension for x in leaves if is_motion(x)), default=0)
+    if gradient:
+        return FEW_GRADIENTS[noises >= LARGE_IN_GRADIENTS]
+    return FEW_LARGE if noises >= LARGE else FEW
 
 
-def piece_size(trajectories: int, rows: int, chunk: int, large_state: bool = False) -> int:
-    """The number of trajectories per part, padding included, of a batch of this size; at most `chunk`."""
+def piece_size(trajectories: int, rows: int, chunk: int, most: int = FEW) -> int:
+    """The trajectories of each part of a batch, padding included; at most `chunk`, and few in batches up to `most`."""
     at_once = side_by_side(1 if rows >= LONG else FEW, trajectories)
-    if at_once < trajectories <= (FEW_LARGE if large_state else FEW_SMALL):
+    if at_once < trajectories <= most:
         return min(chunk, -(-trajectories // -(-trajectories // at_once)))
-    # A power of two, so that few shapes are compiled.
-    return min(chunk, 1 << (trajectories - 1).bit_length())
+    equal = -(-trajectories // -(-trajectories // chunk))
+    if equal <= 2 * FEW:
+        return min(chunk, 1 << (equal - 1).bit_length())
+    # Three significant bits: few shapes are compiled, and padding adds a quarter at most.
+    step = max(FEW, 1 << (equal - 1).bit_length() - 3)
+    return min(chunk, -(-equal // step) * step)
 
 
-def pieces(batch: Batch, chunk: int, large_state: bool = False) -> list[Batch]:
+def pieces(batch: Batch, chunk: int, most: int = FEW) -> list[Batch]:
     """The batch in parts of `piece_size` trajectories, not yet on a device."""
-    size = piece_size(batch.size, len(batch.dt), chunk, large_state)
+    size = piece_size(batch.size, len(batch.dt), chunk, most)
     return [batch.columns(start, start + size) for start in range(0, batch.size, size)]
 
 
@@ -270,7 +277,7 @@ def batch_estimates(tracker: Scans, batch: Batch, chunk: int, state: Any = None,
     have the state after the last row as `final`.
     """
     # No truth: it would be copied for nothing.
-    parts = pieces(batch._replace(truth={}), chunk, has_large_state(tracker))
+    parts = pieces(batch._replace(truth={}), chunk, most_few(tracker))
     # Arrays used once go to the device with the call.
     alone, size = len(parts) == 1, parts[0].size
     model = (as_numbers if alone else as_dtype)(tracker, batch.dt.dtype)

@@ -104,12 +104,14 @@ def in_form(carry: Carry, few: bool) -> Carry:
     return carry._replace(belief=with_covariances(carry.belief, matrix if few else as_scalars))
 
 
-def empty_carry(tracker: RecursiveTracker, row: Row, few: bool) -> Carry:
-    """The carry before the first row: zeros, no track running."""
+def first_carry(tracker: RecursiveTracker, row: Row, few: bool) -> Carry:
+    """The carry before the first row: zeros, no track running, unless the start is known."""
 
     def started(row: Row) -> Carry:
         return in_form(initial_carry(tracker, tracker.start.candidate(tracker.sensors, row), row), few)
 
+    if tracker.start.known:
+        return started(row)
     shape = jax.eval_shape(started, row)
     return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
 
@@ -199,7 +201,7 @@ def scan_rows(
     first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))
     if initial is None:
         first_row = first_row._replace(key=trajectory_keys, number=jnp.zeros(size, jnp.uint32))
-        before = jax.vmap(lambda row: empty_carry(tracker, row, few), in_axes=-1, out_axes=axes)(first_row)
+        before = jax.vmap(lambda row: first_carry(tracker, row, few), in_axes=-1, out_axes=axes)(first_row)
     else:
         given = jax.tree_util.tree_map(jnp.asarray, initial.carry)
         before = jax.vmap(lambda carry: in_form(carry, few), out_axes=axes)(given)

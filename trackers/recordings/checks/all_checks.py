@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import polars as pl
 
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.checks import LEVELS, CheckResult, rules
 from trackwright.trackers.recordings.checks.compared import compared, moments
 from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry
@@ -101,3 +102,14 @@ def _of_readings(
     # A mistake has one cause: what errors with it look like is no second one.
     found = check_residuals(view) if full and view is not None else ()
     yield from (one for one in found if one.level == "info" or not _errors(mistakes))
+
+
+def require_sound(recording: RecordingFolder, force: bool | None, calibrated: bool) -> list[str]:
+    """A line for each mistake of `quick_check`; raises UnusableInput for errors without `force`, None for no option."""
+    mistakes = quick_check(recording, calibrated)
+    lines = [f"{recording.path}: {mistake.where}: {mistake.message}" for mistake in mistakes]
+    errors = [line for line, mistake in zip(lines, mistakes, strict=True) if mistake.level == "error"]
+    if errors and not force:
+        more = f" (and {len(errors) - 1} more: `trackwright check {recording.path}`)" if len(errors) > 1 else ""
+        raise UnusableInput(f"{errors[0]}{more}{'' if force is None else '; --force takes it as it is'}")
+    return lines

@@ -6,44 +6,34 @@ function makePlayback(show, step) {
   let time = 0, begin = 0, end = 1, before = null;
 
   function go(next) {
-    time = Math.min(Math.max(next, begin), end);
-    slider.value = time;
+    slider.value = time = Math.min(Math.max(next, begin), end);
     show(time);
+  }
+
+  function play(on) {
+    before = on ? performance.now() : null;
+    button.textContent = on ? "❚❚" : "▶";
+    if (on && time >= end) go(begin);
+    if (on) requestAnimationFrame(frame);
   }
 
   function frame(now) {
     if (before === null) return;
     go(time + (now - before) / 1000 * Number(speed.value));
     before = now;
-    if (time >= end) stop(); else requestAnimationFrame(frame);
+    if (time >= end) play(false); else requestAnimationFrame(frame);
   }
 
-  function stop() {
-    before = null;
-    button.textContent = "▶";
-  }
-
-  function toggle() {
-    if (before !== null) return stop();
-    if (time >= end) go(begin);
-    button.textContent = "❚❚";
-    before = performance.now();
-    requestAnimationFrame(frame);
-  }
-
-  button.addEventListener("click", toggle);
+  button.addEventListener("click", () => play(before === null));
   slider.addEventListener("input", () => go(Number(slider.value)));
   document.addEventListener("keydown", (event) => {
-    if (event.target.closest("select, button, summary") && event.key !== "Home" && event.key !== "End") return;
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const moves = {
-      " ": toggle, Home: () => go(begin), End: () => go(end),
-      ArrowLeft: () => go(step(time, event.shiftKey ? -10 : -1)), ArrowRight: () => go(step(time, event.shiftKey ? 10 : 1)),
+    const steps = event.shiftKey ? 10 : 1, moves = {
+      " ": () => play(before === null), Home: () => go(begin), End: () => go(end),
+      ArrowLeft: () => go(step(time, -steps)), ArrowRight: () => go(step(time, steps)),
     };
-    if (moves[event.key]) {
-      event.preventDefault();
-      moves[event.key]();
-    }
+    if (!moves[event.key] || event.target.closest("select, button") || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    moves[event.key]();
   });
 
   return {
@@ -55,7 +45,7 @@ function makePlayback(show, step) {
       go(time);
     },
     load(length, first) {
-      stop();
+      play(false);
       [begin, end] = [0, length];
       slider.max = end;
       go(first);

@@ -2,145 +2,111 @@
 
 const LINE_POINTS = 2500, PANEL = 150;
 
-/** Panels of a recording: axes, NIS, kinds of residuals. */
-function panelsOf(recording) {
-  const known = recording.tracks.some((track) => track.rmse !== null), panels = [];
-  for (const axis of recording.axes) {
-    if (recording.angles || !known) panels.push({ kind: "value", axis });
-    if (known) panels.push({ kind: "error", axis });
-  }
-  if (recording.nisBand) panels.push({ kind: "nis" });
-  for (const channel of recording.residuals.channels) panels.push({ kind: "residual", channel });
-  return panels;
-}
-
-/** Traces and layout of the panels for a track and a window of times. */
+/** Traces and layout of the panels for a track and a window of times: axes, NIS, kinds of residuals. */
 function seriesFigure(recording, number, window) {
-  const { columns, tracks } = recording, track = tracks[number], panels = panelsOf(recording);
-  const rows = rowsWithin(columns, track.first, track.end, window), traces = [], layout = {};
-  const height = 1 / panels.length, gap = 0.16 * height;
-  const named = new Set(), once = (name) => !named.has(name) && Boolean(named.add(name));
+  const { columns, tracks, angles } = recording, track = tracks[number], rows = rowsWithin(columns, track, window);
+  const known = tracks.some((one) => one.rmse !== null), panels = [];
+  for (const axis of recording.axes) {
+    if (angles || !known) panels.push((on) => valuePanel(recording, track, rows, axis, on));
+    if (known) panels.push((on) => errorPanel(recording, rows, axis, on));
+  }
+  if (recording.nisBand) panels.push((on) => nisPanel(recording, rows, on));
+  for (const channel of recording.residuals.channels) panels.push((on) => residualPanel(recording, channel, track.tag, window, on));
+  const traces = [], shapes = [], layout = { hovermode: "x", uirevision: `${recording.name} ${number}`, height: 90 + PANEL * panels.length };
+  const names = new Set(), height = 1 / panels.length;
   panels.forEach((panel, k) => {
-    const id = k ? k + 1 : "", on = { xaxis: "x", yaxis: `y${id}`, type: "scatter", mode: "lines" };
-    const top = 1 - k * height;
-    const axis = { domain: [top - height + gap, top], zeroline: false };
-    if (panel.kind === "error" || panel.kind === "value") {
-      const { name, unit, error, sigma, value, bound } = panel.axis;
-      const isError = panel.kind === "error", column = columns[isError ? error : value];
-      const apart = (row, before) => recording.angles && Math.abs(column[row] - column[before]) > 180;
-      const kept = thinned(rows, column, LINE_POINTS), drawn = (of) => broken(kept, columns.t, of, apart);
-      const at = drawn((row) => recording.start + columns.t[row]);
-      const shift = isError ? 0 : recording.origin[panel.axis.value.slice(1)] * (recording.angles ? 0 : 1) || 0;
-      const line = (sign) => drawn((row) => (isError ? 0 : shift + column[row]) + sign * 3 * columns[sigma][row]);
-      const hover = `%{y:.${digitsOf(unit)}f} ${unit}`;
-      const band = kept.some((row) => Number.isFinite(columns[sigma][row])) ? [
-        { ...on, x: at, y: line(-1), line: { width: 0 }, hoverinfo: "skip", showlegend: false },
-        { ...on, x: at, y: line(1), line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(86,180,233,.28)",
-          name: "reported ± 3 σ", legendgroup: "sigma", showlegend: once("sigma"), hovertemplate: isError ? `± ${hover}` : hover },
-      ] : [];
-      traces.push(...band,
-        { ...on, x: at, y: drawn((row) => shift + column[row]), line: { color: themed("blue"), width: 1.2 },
-          name: isError ? "error" : "estimate", legendgroup: panel.kind, showlegend: once(panel.kind), hovertemplate: hover },
-      );
-      if (!isError && track.rmse !== null) {
-        const trueValue = (row) => withinHalfTurn(column[row] - columns[error][row]);
-        const jumps = (row, before) => Math.abs(trueValue(row) - trueValue(before)) > 180;
-        const known = kept.filter((row) => Number.isFinite(columns[error][row]));
-        const along = (of) => broken(known, columns.t, of, jumps);
-        traces.push({ ...on, x: along((row) => recording.start + columns.t[row]), y: along(trueValue), name: "truth", legendgroup: "truth",
-                      showlegend: once("truth"), line: { color: themed("ink"), width: 1.2, dash: "dash" }, hovertemplate: `true ${hover}` });
-      }
-      if (isError && recording.bounds && bound && recording.bounds[bound]) {
-        const t = Array.from(recording.bounds.t, (s) => s + recording.start);
-        for (const sign of [1, -1]) {
-          traces.push({ ...on, x: t, y: Array.from(recording.bounds[bound], (b) => 3 * sign * b), name: "± 3 × Cramér–Rao bound",
-                        legendgroup: "bound", showlegend: sign > 0 && once("bound"), line: { color: "#d55e00", width: 1.1, dash: "dash" },
-                        hoverinfo: "skip" });
-        }
-      }
-      axis.title = { text: `${isError ? `error in${name.length > 9 ? "<br>" : " "}` : ""}${name} (${unit})` };
-      axis.range = isError ? errorRange(columns, rows, error, sigma) : recording.angles ? angleRange(columns, rows, panel.axis) : undefined;
-    } else if (panel.kind === "nis") {
-      const ratio = (row) => columns.nis[row] / columns.dof[row];
-      const kept = thinned(rows, columns.nis, LINE_POINTS);
-      traces.push({ ...on, mode: "markers", x: kept.map((row) => recording.start + columns.t[row]), y: kept.map(ratio),
-                    marker: { size: 3, color: "#009e73" }, name: "NIS/dof", hovertemplate: "%{y:.2f}" });
-      axis.title = { text: "NIS/dof" };
-      const sorted = kept.map(ratio).filter(Number.isFinite).sort((a, b) => a - b);
-      axis.range = [0, Math.max(1.2 * (recording.nisBand[1] || 1), sorted[Math.floor(0.99 * (sorted.length - 1))] || 0)];
-      layout.shapes = recording.nisBand.length ? [bandShape(`y${id}`, recording.nisBand)] : [];
-    } else {
-      traces.push(...residualTraces(recording, panel.channel, track.tag, window, on));
-      axis.title = { text: `residual, ${panel.channel.name} (${panel.channel.unit})` };
+    const id = k ? k + 1 : "", { lines, title, range, band } = panel({ xaxis: "x", yaxis: `y${id}`, type: "scatter", mode: "lines" });
+    for (const line of lines) {
+      // A name is once in the legend and stands for all its lines.
+      const shown = line.name !== undefined && !names.has(line.name);
+      traces.push({ ...line, legendgroup: line.name, showlegend: shown });
+      names.add(line.name);
     }
-    layout[`yaxis${id}`] = axis;
+    layout[`yaxis${id}`] = { title: { text: title }, range, domain: [1 - (k + 0.84) * height, 1 - k * height], zeroline: false };
+    if (band?.length) shapes.push(bandShape(`y${id}`, band));
   });
   const beside = besideJump(rows.map((row) => recording.start + columns.t[row]));
-  const title = beside ? `${recording.timeLabel}, a jump of ${Number(beside.jump.toPrecision(3))} s left out` : recording.timeLabel;
-  layout.xaxis = { title: { text: title }, range: beside?.range, anchor: `y${panels.length > 1 ? panels.length : ""}`, zeroline: false };
-  return { traces, layout: layoutOf({ ...layout, hovermode: "x", uirevision: `${recording.name} ${number}`,
-                                      height: 90 + PANEL * panels.length,
-                                      // The legend has several lines on a phone.
-                                      ...series.clientWidth < 500 && {
-                                        margin: { l: 56, r: 12, t: 70, b: 44 },
-                                        legend: { orientation: "h", x: 0, y: 1, yref: "container", yanchor: "top" },
-                                      } }) };
+  const text = recording.timeLabel + (beside ? `, a jump of ${Number(beside.jump.toPrecision(3))} s left out` : "");
+  layout.xaxis = { title: { text }, range: beside?.range, anchor: `y${panels.length > 1 ? panels.length : ""}`, zeroline: false };
+  // The legend has several lines on a phone.
+  const narrow = series.clientWidth < 500 && {
+    margin: { l: 56, r: 12, t: 70, b: 44 }, legend: { orientation: "h", x: 0, y: 1, yref: "container", yanchor: "top" },
+  };
+  return { traces, layout: layoutOf({ ...layout, shapes, ...narrow }) };
+}
+
+/** A line with its band of 3 σ about it or, of an error, about zero. */
+function withBand(recording, rows, { unit, sigma }, column, shift, name, on) {
+  const { columns: { t, [sigma]: sigmas }, angles, start } = recording;
+  const apart = (row, before) => angles && Math.abs(column[row] - column[before]) > 180;
+  const kept = thinned(rows, column, LINE_POINTS), drawn = (of) => broken(kept, t, of, apart);
+  const x = drawn((row) => start + t[row]), hover = `%{y:.${digitsOf(unit)}f} ${unit}`, middle = (row) => name === "error" ? 0 : shift + column[row];
+  const edge = (sign) => ({ ...on, x, y: drawn((row) => middle(row) + sign * 3 * sigmas[row]), line: { width: 0 } });
+  const band = kept.some((row) => Number.isFinite(sigmas[row])) ? [
+    { ...edge(-1), hoverinfo: "skip" },
+    { ...edge(1), fill: "tonexty", fillcolor: "rgba(86,180,233,.28)", name: "reported ± 3 σ", hovertemplate: hover },
+  ] : [];
+  return [...band, { ...on, x, y: drawn((row) => shift + column[row]), line: { color: themed("blue"), width: 1.2 }, name, hovertemplate: hover }];
+}
+
+function valuePanel(recording, track, rows, axis, on) {
+  const { columns, angles, origin, start } = recording, column = columns[axis.value], errors = columns[axis.error];
+  const lines = withBand(recording, rows, axis, column, angles ? 0 : origin[axis.value.slice(1)] || 0, "estimate", on);
+  const truth = (row) => withinHalfTurn(column[row] - errors[row]), scored = angles ? rows.filter((row) => Number.isFinite(errors[row])) : [];
+  if (track.rmse !== null) {
+    const along = (of) => broken(thinned(scored, column, LINE_POINTS), columns.t, of, (row, before) => Math.abs(truth(row) - truth(before)) > 180);
+    lines.push({ ...on, x: along((row) => start + columns.t[row]), y: along(truth), name: "truth", line: { color: themed("ink"), width: 1.2, dash: "dash" },
+                 hovertemplate: `true %{y:.2f} ${axis.unit}` });
+  }
+  const values = [...rows.map((row) => column[row]), ...scored.map(truth)], low = quantile(values, 0), high = quantile(values, 1);
+  const margin = 0.06 * (high - low) + Math.min(3 * (quantile(rows.map((row) => columns[axis.sigma][row]), 0.5) || 0.3), 20);
+  return { lines, title: `${axis.name} (${axis.unit})`, range: angles ? [low - margin, high + margin] : undefined };
+}
+
+function errorPanel(recording, rows, axis, on) {
+  const { columns, bounds, start } = recording, errors = columns[axis.error];
+  const lines = withBand(recording, rows, axis, errors, 0, "error", on);
+  for (const sign of bounds?.[axis.bound] ? [1, -1] : []) {
+    lines.push({ ...on, x: Array.from(bounds.t, (s) => s + start), y: Array.from(bounds[axis.bound], (b) => 3 * sign * b), hoverinfo: "skip",
+                 name: "± 3 × Cramér–Rao bound", line: { color: "#d55e00", width: 1.1, dash: "dash" } });
+  }
+  // Every error that lasts for two rows, and the usual 3 σ band up to four times as much.
+  const lasting = quantile(rows.map((row, k) => Math.min(Math.abs(errors[row]), Math.abs(errors[rows[k + 1]] ?? 0))), 1);
+  const band = 3 * quantile(rows.map((row) => columns[axis.sigma][row]), 0.9), half = 1.1 * Math.max(lasting, Math.min(band, 4 * lasting || Infinity)) || 1;
+  return { lines, title: `error in${axis.name.length > 9 ? "<br>" : " "}${axis.name} (${axis.unit})`, range: [-half, half] };
+}
+
+function nisPanel({ columns, nisBand, start }, rows, on) {
+  const ratio = (row) => columns.nis[row] / columns.dof[row], kept = thinned(rows, columns.nis, LINE_POINTS), y = kept.map(ratio);
+  const lines = [{ ...on, mode: "markers", x: kept.map((row) => start + columns.t[row]), y, marker: { size: 3, color: "#009e73" }, name: "NIS/dof",
+                   hovertemplate: "%{y:.2f}" }];
+  return { lines, title: "NIS/dof", range: [0, Math.max(1.2 * (nisBand[1] || 1), quantile(y, 0.99))], band: nisBand };
+}
+
+/** Residuals of the readings of a tag, in the colours of their anchors or stations. */
+function residualPanel(recording, { name, unit, sources, points: { t, tag, source, value } }, of, window, on) {
+  const number = recording.residuals.tags.indexOf(of);
+  const lines = sources.map((sourceName, k) => {
+    const own = [...value.keys()].filter((at) =>
+      source[at] === k && tag[at] === number && t[at] >= window[0] && t[at] <= window[1] && Number.isFinite(value[at]));
+    const shown = FAST ? own : thinned(own, value, 1500 / sources.length);
+    return { ...on, type: MARKS, mode: "markers", x: shown.map((at) => recording.start + t[at]), y: shown.map((at) => value[at]),
+             name: sources.length > 1 ? escaped(sourceName) : undefined, marker: { size: 3.5, color: lineColour(k), opacity: 0.7 },
+             hovertemplate: `${escaped(sourceName)}: %{y:.3f} ${unit}<extra></extra>` };
+  });
+  return { lines: lines.filter((line) => line.x.length), title: `residual, ${name} (${unit})` };
 }
 
 /** Of times with a jump that is longer than nine times all others together: the jump and the side with more of them. */
 function besideJump(times) {
   let at = 1;
   times.forEach((time, k) => { if (k && time - times[k - 1] > times[at] - times[at - 1]) at = k; });
-  const first = times[0], last = times[times.length - 1], jump = times[at] - times[at - 1];
+  const first = times[0], last = times.at(-1), jump = times[at] - times[at - 1];
   if (times.length < 20 || !(jump > 0.9 * (last - first))) return null;
   return { jump, range: 2 * at > times.length ? [first, times[at - 1]] : [times[at], last] };
 }
 
 /** A band across the whole chart. */
 const bandShape = (axis, [low, high]) => ({
-  type: "rect", xref: "paper", x0: 0, x1: 1, yref: axis, y0: low, y1: high, fillcolor: "rgba(0,158,115,.14)", line: { width: 0 },
-  layer: "below",
+  type: "rect", xref: "paper", x0: 0, x1: 1, yref: axis, y0: low, y1: high, fillcolor: "rgba(0,158,115,.14)", line: { width: 0 }, layer: "below",
 });
-
-/** The estimated and true angles with a margin of the usual 3 σ, degrees. */
-function angleRange(columns, rows, { value, error, sigma }) {
-  const angles = rows.flatMap((row) => [columns[value][row], withinHalfTurn(columns[value][row] - columns[error][row])]).filter(Number.isFinite);
-  if (!angles.length) return undefined;
-  const sigmas = rows.map((row) => columns[sigma][row]).filter(Number.isFinite).sort((a, b) => a - b);
-  const low = angles.reduce((a, b) => Math.min(a, b)), high = angles.reduce((a, b) => Math.max(a, b));
-  const margin = 0.06 * (high - low) + Math.min(3 * (sigmas[sigmas.length >> 1] || 0.3), 20);
-  return [low - margin, high + margin];
-}
-
-/** Half the axis: every error that lasts for two rows, and the usual 3 σ band up to four times as much. */
-function errorRange(columns, rows, error, sigma) {
-  let most = 0;
-  rows.forEach((row, k) => {
-    const other = rows[k + 1] === undefined ? 0 : Math.abs(columns[error][rows[k + 1]]);
-    const lasting = Math.min(Math.abs(columns[error][row]), other);
-    if (lasting > most) most = lasting;
-  });
-  const sigmas = rows.map((row) => columns[sigma][row]).filter(Number.isFinite).sort((a, b) => a - b);
-  const band = 3 * (sigmas[Math.floor(0.9 * (sigmas.length - 1))] || 0);
-  const half = 1.1 * Math.max(most, Math.min(band, 4 * most || Infinity)) || 1;
-  return [-half, half];
-}
-
-/** Residuals of the readings of a tag about its estimates, in the colours of their anchors or stations. */
-function residualTraces(recording, channel, tag, window, on) {
-  const { points } = channel, number = recording.residuals.tags.indexOf(tag);
-  const values = channel.boxes.estimated ? points.estimated : points.true;
-  return channel.sources.map((source, k) => {
-    const ofSource = [];
-    for (let at = 0; at < values.length; at++) {
-      const inside = points.t[at] >= window[0] && points.t[at] <= window[1];
-      if (points.source[at] === k && points.tag[at] === number && inside && Number.isFinite(values[at])) ofSource.push(at);
-    }
-    const shown = FAST ? ofSource : thinned(ofSource, values, 1500 / channel.sources.length);
-    return { ...on, type: MARKS, mode: "markers", x: shown.map((at) => recording.start + points.t[at]),
-             y: shown.map((at) => values[at]), name: escaped(source), legendgroup: `source ${k}`,
-             showlegend: channel === recording.residuals.channels[0] && channel.sources.length > 1,
-             marker: { size: 3.5, color: lineColour(k), opacity: 0.7 },
-             hovertemplate: `${escaped(source)}: %{y:.3f} ${channel.unit}<extra></extra>` };
-  }).filter((trace) => trace.x.length);
-}

@@ -7,8 +7,7 @@ import pytest
 from trackwright.experiments.cli.options import EvaluateOptions, PoseOptions
 from trackwright.experiments.cli.track import evaluate_tracks
 from trackwright.experiments.lab.papers.reproduce import evidence, part, tables
-from trackwright.experiments.pages.reports.comparison import comparison, study_contrasts
-from trackwright.experiments.pages.reports.runs import StudyRun, read_runs
+from trackwright.experiments.pages.reports.comparison import Run, comparison, read_runs
 from trackwright.experiments.text.expectations import Value
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -20,7 +19,7 @@ def _value(value, width):
 def _study(folder, rmse, width=0.02, tracker="direct", metric="rmse_m"):
     folder.mkdir()
     cell = {"world": "hand", "point": {"world.sigma_p": 0.1}, "tracker": tracker}
-    other = {"nees_mean": _value(2.0, 0.1)} if metric == "rmse_m" else {}
+    other = {"nees_ratio": _value(2.0, 0.1)} if metric == "rmse_m" else {}
     content = {"cells": [cell | {"figures": {metric: _value(rmse, width)} | other}]}
     (folder / "results.json").write_text(json.dumps(content))
     return folder
@@ -51,7 +50,7 @@ def test_two_studies_differ_where_the_difference_is_larger_than_both_intervals_a
     found = _contrasts(_study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12))
     assert found["b", "rmse_m"].difference.value == pytest.approx(0.02)
     assert found["b", "rmse_m"].differs is True
-    assert found["b", "nees_mean"].differs is False
+    assert found["b", "nees_ratio"].differs is False
     assert found["b", "rmse_m"].subject == "hand, sigma_p 0.1, direct"
 
 
@@ -63,12 +62,10 @@ def test_studies_without_a_difference_differ_in_5_percent_of_tables(tmp_path):
         differ = 0
         for _ in range(tables):
             runs = [
-                StudyRun(
-                    name, tmp_path, {("world", f"m{k}"): Value(x, x - 1.96, x + 1.96) for k, x in enumerate(values)}
-                )
+                Run(name, tmp_path, {("world", f"m{k}"): Value(x, x - 1.96, x + 1.96) for k, x in enumerate(values)})
                 for name, values in zip("ab", rng.normal(size=(2, metrics)), strict=True)
             ]
-            differ += any(one.differs for one in study_contrasts(runs, [f"m{k}" for k in range(metrics)]))
+            differ += any(one.differs for one in comparison(runs)[1])
         return differ / tables
 
     assert 0.03 < share(1, 3000) < 0.07
@@ -98,11 +95,11 @@ def test_the_command_prints_both_and_writes_one_page(tmp_path, capsys):
     assert not re.search(r"<script[^>]+src", page)
 
 
-def test_of_three_studies_those_that_differ_from_the_first_are_named(tmp_path):
+def test_of_three_studies_each_is_compared_with_the_first(tmp_path):
     folders = [_study(tmp_path / name, rmse) for name, rmse in (("a", 0.10), ("b", 0.101), ("c", 0.15))]
     tables, _ = comparison(read_runs(folders)[0])
-    rmse = next(row for row in tables[0].rows if row[1].startswith("RMSE"))
-    assert rmse[-2:] == ["1.010, 1.500", "c"]
+    rows = [row for row in tables[0].rows if row[1].startswith("RMSE")]
+    assert [(row[2], *row[-2:]) for row in rows] == [("b", "1.010", "no"), ("c", "1.500", "yes")]
 
 
 def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 
 import trackwright as tw
 from tests.experiments.pages.reports.tuning_report_data import walk
-from trackwright.experiments.pages.reports.tuning import _runs, collect, tuned_parameters
+from trackwright.experiments.pages.reports.tuning import collect, tuned_parameters
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.tuning.data import FitData, fit_data
@@ -93,12 +93,5 @@ def test_the_spread_of_readings_that_a_heavy_tail_implies_is_said():
     folder = tw.simulate.ranges(n=1, seed=3, rows=40).folder()
     data = fit_data(tw.build("uwb", folder).only_batch([folder]), NLL)
     result = fit(data.tracker, data.rows(), data.objective, ("sensors.ranges.sigma_r",), FitOptions(steps=1, starts=1))
-    (parameter,) = tuned_parameters(result, {}, [], _runs(result.tracker, data.training))
-    model, measured = parameter.spread.split("; measured about the estimates: 68 % within ± ")
-    assert model.startswith("by the model: 68 % of the readings within ± 0.")
-    truth, ranges = (folder.tables[name].drop_nulls() for name in ("truth", "ranges"))
-    places = [np.interp(ranges["t_s"], truth["t_s"], truth[f"{a}_m"]) for a in "xyz"]
-    anchors = np.array([folder.rig.anchors[a] for a in ranges["anchor"]])
-    errors = ranges["range_m"] - np.linalg.norm(np.stack(places, axis=1) - anchors, axis=1)
-    # About estimates, which follow the readings, they scatter less than about the truth.
-    assert 0.3 < float(measured.removesuffix(" m")) / np.subtract(*np.quantile(errors, [0.84, 0.16])) * 2 < 1.2
+    (parameter,) = tuned_parameters(result, {})
+    assert parameter.spread.startswith("68 % of the readings within ± 0.")

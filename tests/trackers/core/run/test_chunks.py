@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
-from trackwright.trackers.core.run.chunks import chunks, run_chunks
+from trackwright.trackers.core.run.chunks import CHUNK, chunks, piece_size, run_chunks
 
 HASHED = """
 import hashlib, jax, numpy as np
@@ -30,6 +30,15 @@ def _many(trajectories, rows=30):
     seen, height = np.ones((rows, 3), bool), {"height": np.zeros(rows)}
     every = [Recording(times, {"fixes": Readings(w, seen)}, height, name=str(k)) for k, w in enumerate(walks)]
     return stack(every)
+
+
+def test_no_number_of_trajectories_is_padded_to_more_than_a_larger_one_or_by_a_quarter():
+    numbers = np.arange(17, 2001)
+    sizes = np.array([piece_size(int(n), 200, CHUNK) for n in numbers])
+    padded = sizes * -(-numbers // sizes)
+    assert (sizes <= CHUNK).all()
+    assert (np.diff(padded) >= 0).all()
+    assert (padded[numbers > 32] <= 1.25 * numbers[numbers > 32]).all()
 
 
 @pytest.mark.slow

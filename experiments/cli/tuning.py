@@ -1,0 +1,320 @@
+"""What `trackwright tune` and `sweep` do with recordings that were read: tracker, data, the fit or grid, all files."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+import trackwright as tw
+from trackwright.experiments.cli import console
+from trackwright.experiments.cli.console import Run, notices, output_folder, prepared, ready, write_manifest
+from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, config, file_format
+from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart, sweep_plot
+from trackwright.experiments.pages.reports import before_after as changes
+from trackwright.experiments.pages.reports import tuning as pages
+from trackwright.experiments.pages.reports.pages import write_page
+from trackwright.experiments.text.tables import aligned
+from trackwright.experiments.text.terminal import Advance, notice
+from trackwright.trackers.catalogue import fitting, spec_of
+from trackwright.trackers.core.errors import listed
+from trackwright.trackers.evaluation.cautions import mirror_cautions
+from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.folder import refuse_repeated
+from trackwright.trackers.recordings.input_file import identity
+from trackwright.tuning import parameters as numbers
+from trackwright.tuning.calibrating import cross_fitted
+from trackwright.tuning.data import FitData, data_in_turn, fit_data
+from trackwright.tuning.fitting import Place
+from trackwright.tuning.identifiability import cautions, identifiability_issues
+from trackwright.tuning.intervals import Interval, intervals_of, left_out_estimates, with_fitted, without_intervals
+from trackwright.tuning.kept_fit import checked_bounds, kept_fit
+from trackwright.tuning.optimisation import FitState
+from trackwright.tuning.parts import Keep, LocalParts
+from trackwright.tuning.problem import is_stochastic
+from trackwright.tuning.sweeping import grid_vectors, swept_parameters
+from trackwright.tuning.tuned_file import tuned_content
+
+# What a cluster needs is imported where one is given.
+if TYPE_CHECKING:
+    from trackwright.experiments.jobs.held_parts import FitWorkers
+
+INTERRUPTED = 130  # the exit code of a command that Ctrl-C ended, as shells have it
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A finished fit. `reported`: what the report is made of, on a cluster a part of the data. `shown`: the recordings
+    whose errors are shown: those held out, or else those fitted to; `others`: those fitted to if some were held out."""
+
+    options: TuneOptions
+    named: tw.NamedTracker
+    data: FitData
+    result: tw.FitResult
+    reported: FitData
+    shown: Sequence[tw.RecordingFolder]
+    others: Sequence[tw.RecordingFolder]
+
+
+def tune_folders(folders: Sequence[tw.RecordingFolder], paths: Sequence[Path], options: TuneOptions, run: Run) -> int:
+    """Fits to the first recordings, the others held out, writes all files and prints the table; the exit code."""
+    count = len(paths) - len(options.held_out)
+    calibration = options.used.read_calibration()
+    if calibration is not None and options.cluster is None:
+        parts, lines = cross_fitted(folders, calibration)
+        notices(lines)
+        count, folders = sum(map(len, parts[:count])), [part for of_folder in parts for part in of_folder]
+    with _workers(options) as workers:
+        fitted = fit_folders(folders, paths, count, options, run, workers)
+        run.begin("leaving out recordings")
+        before = changes.tracked(fitted.named, fitted.shown)
+        compared = judged(fitted, before)
+        run.begin("report")
+        content = _write_run(fitted, paths[: len(paths) - len(options.held_out)], run, compared, before)
+    run.put(content)
+    if fitted.result.uncertainty is None:
+        notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
+        return INTERRUPTED
+    return int(options.check and compared.verdict.word == "worse")
+
+
+def _workers(options: TuneOptions) -> AbstractContextManager[FitWorkers | None]:
+    if options.cluster is None:
+        return nullcontext()
+    from trackwright.experiments.jobs.held_parts import fit_workers
+
+    return fit_workers(options.cluster, output_folder(options.out))
+
+
+def tracker_for_folders(folders: Sequence[tw.RecordingFolder], options: WithNumbers) -> tw.NamedTracker:
+    """The tracker, named, of the options' file or chosen by the tables, with the values of the file and of `--set`."""
+    name, given = options.named or fitting(folders[0]), options.numbers
+    if given.tracker is None:
+        notice(f"tracker: {name}{f', by {options.file}' if options.named else ''}; choose another with --tracker")
+    named = tw.build(name, folders, given.free_height, given.side)
+    console.notice_unused_calibration(folders, name, named.spec.table)
+    return options.valued(named)
+
+
+def fit_folders(
+    folders: Sequence[tw.RecordingFolder], paths: Sequence[Path], count: int, options: TuneOptions, run: Run,
+    workers: FitWorkers | None,
+) -> Fitted:  # fmt: skip
+    """Fits the tracker to the first `count` recordings, the others held out; `workers` hold the rows of those at
+    `paths`, of which `folders` are the first."""
+    named, goal, by_default = tracker_for_folders(folders, options), options.objective, options.objective is None
+    notices(mirror_cautions(named, folders))
+    how = (options.piece_rows, options.dimensions, options.weigh)
+    keep: Keep = LocalParts
+    if workers is None:
+        data = fit_data(named.only_batch(folders), goal, folders[count:], *how)
+    else:
+        from trackwright.experiments.jobs.held_parts import HeldParts
+
+        refuse_repeated(paths)
+        rest = (folder for path in paths[1:] for folder in prepared([path], options.used))
+        data = data_in_turn(named, chain(folders, rest), count, workers.folder, goal, *how)
+        keep = partial(HeldParts, workers, named)
+    tune = options.tune or numbers.tuned_by_default(data.tracker, data.objective.needs_truth)
+    options = replace(options, numbers=replace(options.numbers, tracker=named.name), objective=data.named, tune=tune)
+    bounds = checked_bounds(data, tune, options.freeze, options.bound)
+    parameters = numbers.select_parameters(data.tracker, tune, options.freeze)
+    notices(cautions(data.tracker, parameters, data.objective))
+    result = _fit(data, options, bounds, run, by_default, keep)
+    reported, known = data, list(folders)
+    if workers is not None:
+        names = pages.recording_names(data.training)[: changes.MOST_PLANS]
+        training = [segment for segment in data.training if segment.folder.name in names]
+        reported, calibration = replace(data, training=training, stacked=True), options.used.read_calibration()
+        places = {segment.folder.path: None for segment in (*training, *data.held_out)}
+        known = [ready(tw.read(path), options.used, calibration)[0] for path in places if path]
+        count = len(names)
+    shown, others = (known[count:], known[:count]) if known[count:] else (known, [])
+    return Fitted(options, named, data, result, reported, shown, others)
+
+
+def _fit(
+    data: FitData, options: TuneOptions, bounds: Mapping[str, tuple[float, float]], run: Run, by_default: bool,
+    keep: Keep,
+) -> tw.FitResult:  # fmt: skip
+    """The fit, with a checkpoint after every step. `by_default`: whether the objective was chosen by the data."""
+    if by_default:
+        why = "truth" if data.objective.needs_truth else "no truth that the estimates can be judged by"
+        notice(f"objective: {data.named}, since there is {why}; choose another with --objective")
+    if data.unused:
+        notice(f"notice: without truth, and not used: {listed(data.unused)}")
+    steps, advance = options.steps, list[Advance]()
+
+    def report(state: FitState) -> None:
+        """Advances the bar of the steps, which begins after the first evaluation."""
+        best, done = int(state.best_scores.argmin()), 1 if advance else int(state.number)
+        advance.extend([] if advance else [run.begin("step", steps)])
+        advance[0](done, f"objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g}")
+
+    optimiser = {"auto": None, "lbfgs": tw.LBFGS(), "adam": tw.Adam(steps)}[options.optimiser]
+    how = tw.FitOptions(
+        frozen=options.freeze,
+        bounds=bounds,
+        optimiser=optimiser,
+        steps=steps,
+        starts=options.starts,
+        prior=options.prior,
+    )
+    run.begin("searching for starts" if options.starts > 1 else "first evaluation")
+    # The place where a fit is computed does not change it.
+    depends, place = config(options, "resume", "cluster", "check"), Place(keep=keep, report=report, stage=run.begin)
+    out, say = output_folder(options.out), lambda line: notices([line])
+    return kept_fit(data, options.tune or (), how, place, out, depends, options.resume, say)
+
+
+def judged(fitted: Fitted, before: pl.DataFrame) -> changes.Compared:
+    """The recordings shown, `before` the fit and with values fitted without them, and the verdict."""
+    result, data, shown = fitted.result, fitted.data, fitted.shown
+    table, about = left_out_estimates(result, data, fitted.named, shown, before)
+    why_not = "" if about else "the fit cannot leave a recording or a block of time out"
+    if result.uncertainty is None:
+        why_not = "the fit was interrupted"
+    count = len(pages.recording_names(data.training))
+    part = f"{len(shown)} of {count} " if len(shown) < count else ""
+    about = "held-out recordings" if data.held_out else f"{part}recording{'s' if count > 1 else ''} tuned on{about}"
+    return changes.compare((before, changes.with_truth(table, shown)), shown, data.dimensions, about, why_not)
+
+
+def _plans(fitted: Fitted, before: pl.DataFrame) -> changes.TrackChanges:
+    """The tracks with the values before and after the fit, of the recordings shown and of some others."""
+    others = fitted.others[: max(changes.MOST_PLANS - len(fitted.shown), 0)]
+    held_out = {folder.name for folder in fitted.shown} if fitted.data.held_out else set()
+    if others:
+        before = pl.concat([before, changes.tracked(fitted.named, others)], how="diagonal")
+    folders = [*fitted.shown, *others]
+    return changes.track_changes(
+        before, changes.tracked(with_fitted(fitted.named, fitted.result), folders), folders, held_out
+    )
+
+
+def _write_run(
+    fitted: Fitted, recordings: Sequence[Path], run: Run, compared: changes.Compared, before: pl.DataFrame
+) -> dict[str, Any]:
+    """Writes all files, prints what they show, and returns the content of tuned.toml."""
+    options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
+    name, uncertainty, used = fitted.named.name, fitted.result.uncertainty, options.used
+    objective, unit = data.named, "rad" if data.training[0].station else "m"
+    if options.prior != "flat" and data.objective.is_likelihood:
+        objective += " + prior"
+    intervals = intervals_of(result)
+    calibrated = None if used.calibration is None else identity(used.calibration)
+    content = compared.content() | tuned_content(name, objective, result, intervals, calibrated)
+    tw.write_tuned(out / "tuned.toml", content)
+    drawn = _write_trace(out, result, objective, unit, file_format(options.figures))
+    issues, lines = [], without_intervals(uncertainty, intervals)
+    if uncertainty is not None:
+        issues = identifiability_issues(uncertainty, result.evaluation.term_gradients, bool(data.held_out))
+        lines = [*result.cautions, *lines]
+    use = f"trackwright track … --noise {out / 'tuned.toml'}"
+    use += "" if used.calibration is None else f" --calibration {used.calibration}"
+    use += "" if used.average is None else f" --average {used.average:g}"
+    written = ["trace.csv", *drawn, "manifest.json"]
+    if options.figures != "none":
+        written.insert(0, "report.html")
+        known = pages.collect(result, fitted.reported, objective, intervals, issues)
+        known = replace(
+            known,
+            training=pages.recording_names(data.training),
+            commands=(use, shlex.join(["trackwright", *sys.argv[1:]])),
+            tracker=name,
+            tracker_about=spec_of(name).about,
+            seconds=run.seconds,
+            compared=compared,
+            plans=_plans(fitted, before),
+            cautions=tuple(lines),
+            notes=(*_notes(data, result, fitted.reported), *known.notes),
+        )
+        write_page(out / "report.html", pages.tuning_page(known))
+    about = config(options, "resume", "check")
+    write_manifest(
+        out, about, run.started, recordings=[str(path) for path in recordings], filter_runs=result.filter_runs
+    )
+    print(table(result, objective, intervals))
+    for text in (*(issue.text for issue in issues), *lines):
+        print(f"notice: {text}")
+    print(compared.text(), end="")
+    print(f"wrote {out / 'tuned.toml'}, {', '.join(written)}; use it: {use}")
+    return content
+
+
+def _notes(data: FitData, result: tw.FitResult, reported: FitData) -> Iterator[str]:
+    if len(reported.training) < len(data.training):
+        shown, total = (len(pages.recording_names(part.training)) for part in (reported, data))
+        yield f"Of the recordings tuned on, {shown} of {total} are shown."
+    if result.uncertainty is None:
+        yield "The fit was interrupted: the values are the best so far; --resume continues it."
+    if result.n_excluded:
+        yield f"{result.n_excluded} of {len(data.training)} segments were excluded."
+
+
+def _write_trace(out: Path, result: tw.FitResult, objective: str, unit: str, figure: str | None) -> list[str]:
+    """Writes the table of the steps and, where asked for, its figures; returns the names of these."""
+    traces, names = pages.traces_of(result), numbers.component_names(result.parameters)
+    columns = {objective: traces[0].objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
+    columns |= dict(zip(names, traces[0].values.T, strict=True))
+    atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
+    if figure is None:
+        return []
+    from trackwright.experiments.pages.charts.drawing import write_charts
+
+    about = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
+    units = [p.example.unit for p in result.parameters for _ in range(p.size)]
+
+    charts = [parameter_chart(traces, k, *named) for k, named in enumerate(zip(names, units, strict=True))]
+    return write_charts(out, [objective_chart(traces, about.get(objective, objective)), *charts], figure)
+
+
+def table(result: tw.FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:
+    """A table of the tuned parameters, and a line on the objective before and after."""
+    rows = [("tunable", "before", "after", "95 % interval", "unit")]
+    for p in pages.tuned_parameters(result, intervals):
+        interval = f"{p.low:.4g} to {p.high:.4g}" if np.isfinite(p.low) else "-"
+        rows.append((p.name, f"{p.before:.4g}", f"{p.after:.4g}", interval, "" if p.unit == "1" else p.unit))
+    return f"{aligned(rows)}\n{objective}: {result.start_value:.5g} -> {result.value:.5g}"
+
+
+def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, run: Run) -> None:
+    """Evaluates the objective on the grid, writes all files and prints the best point."""
+    objective, grids, out = options.objective, options.grids, options.out
+    named = tracker_for_folders(folders, options)
+    group = named.only_batch(folders)
+    data = fit_data(group, objective, (), dimensions=options.dimensions, weigh=options.weigh)
+    try:
+        points = grid_vectors(swept_parameters(group.tracker, list(grids)), list(grids.values()))
+    except ValueError as error:
+        hint = "; start the grid at a small positive value" if "is positive" in str(error) else ""
+        raise tw.UnusableInput(f"--over {' --over '.join(options.over)}: {error}{hint}") from error
+    output_folder(out)
+    advance = run.begin("grid point", len(points) * (options.repeats if is_stochastic(group.tracker) else 1))
+    swept = tw.sweep(group.tracker, data.rows(), data.objective, grids, options.repeats, advance, data.weights())
+    run.begin("figure")
+    if not np.isfinite(swept.mean).any():
+        raise tw.UnusableInput(
+            "the objective is not finite at any grid point; run `trackwright check` on the recordings"
+        )
+    atomic_write(out / "sweep.csv", swept.to_polars(objective).write_csv)
+    unit = "rad" if group.trajectories[0].station else "m"
+    drawn = out / f"sweep.{options.figures}"
+    sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective)
+    result = {"best": swept.best, "least": float(swept.mean[swept.best_index]), "filter_runs": swept.filter_runs}
+    result["seconds"] = run.seconds
+    about = config(options) | {"tracker": named.name}
+    write_manifest(out, about, run.started, recordings=[str(folder.path) for folder in folders], **result)
+    print(swept.text(objective, unit if objective == "rmse" else ""))
+    print(f"{swept.filter_runs} trajectories filtered in {run.seconds:.1f} s")
+    print(f"wrote {out / 'sweep.csv'}, {drawn.name} and manifest.json")
+    run.put(result)

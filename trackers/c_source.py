@@ -1,0 +1,433 @@
+"""A tracker as C99: the step of one trajectory, from the program that jax traces, without a heap, for firmware.
+
+Each number of the program is a local variable; what is constant, as levels and geometry of the tracker, stands in the
+text. A tracker whose start or update searches, draws or sorts has no such program and is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Batch, Recording, stack
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.jax_private import is_literal, live_part
+from trackwright.trackers.core.model.algebra import select
+from trackwright.trackers.core.model.covariance import Gaussian, as_scalars
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.state import component_names
+from trackwright.trackers.core.model.tunable import freeze, tunables
+from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.core.run.scan import Carry, carry_of, first_carry, in_form, initial_carry
+from trackwright.trackers.core.run.tracker import Tracker
+
+SIGNS = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/", "and": "&", "or": "|"}
+SIGNS |= {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+ONE = (
+    "sqrt",
+    "log",
+    "log1p",
+    "exp",
+    "expm1",
+    "sin",
+    "cos",
+    "tan",
+    "tanh",
+    "ceil",
+    "floor",
+    "acos",
+    "asin",
+    "lgamma",
+    "erf",
+)
+TEMPLATES = {
+    **{name: f"{{0}} {sign} {{1}}" for name, sign in SIGNS.items()},
+    **{name: name + "{f}({0})" for name in ONE},
+    **{name: name + "{f}({0}, {1})" for name in ("atan2", "pow")},
+    "abs": "fabs{f}({0})",
+    "round": "rint{f}({0})",
+    # As in XLA what is no number wins.
+    "max": "({0} > {1} || {0} != {0}) ? {0} : {1}",
+    "min": "({0} < {1} || {0} != {0}) ? {0} : {1}",
+    "neg": "-{0}",
+    "not": "!{0}",
+    "is_finite": "isfinite({0}) != 0",
+    "sign": "({real})(({0} > 0) - ({0} < 0))",
+    "square": "{0} * {0}",
+    "logistic": "1 / (1 + exp{f}(-{0}))",
+    "rsqrt": "1 / sqrt{f}({0})",
+    "select_n": "{0} ? {2} : {1}",
+}
+"""An operation on numbers in C, by its name in jax; `f`: the suffix of functions."""
+
+POWER, CONVERTED = "integer_pow", "convert_element_type"
+SAME = ("compute_once", "stored", "copy", "copy_p", "stop_gradient", "optimization_barrier")
+NESTED = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint", "custom_vmap_call")
+REDUCED = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or"}
+
+OUTPUTS = ("log_likelihood", "nis", "nis_dof", "wrapped", "status")
+
+
+class Source(NamedTuple):
+    """C99 text of a tracker: `header`, `body`; `columns`: of a row in a CSV file that the program's `main` replays."""
+
+    header: str
+    body: str
+    columns: tuple[str, ...]
+
+
+def one_row(tracker: Any, carry: Carry, row: Row, starts: bool) -> tuple[Carry, tuple[Any, ...]]:
+    """The carry of one trajectory after a row, and mean, covariance and diagnostics, as `scan.scan_rows` has them.
+
+    `starts`: whether a row may start a track.
+    """
+    belief, innovation = tracker.update(tracker.predict(carry.belief, row), row)
+    carry, info = tracker.advance(carry, row, belief, innovation)
+    if not starts:
+        mean, cov = tracker.moments(carry.belief)
+        return carry, (mean, tuple(as_scalars(cov)), *info)
+    need = row.valid & ~carry.running & tracker.start.can_start(row) & (info.status != Status.NON_FINITE)
+    fresh = in_form(initial_carry(tracker, tracker.start.candidate(tracker.sensors, row), row), False)
+    status = jnp.where(need, jnp.where(carry.started, Status.RESTARTED, Status.OK), info.status).astype(jnp.int8)
+    carry = select(need, fresh, carry)
+    mean, cov = tracker.moments(carry.belief)
+    return carry, (mean, tuple(as_scalars(cov)), *info[:4], status)
+
+
+def c_source(
+    tracker: Tracker, recording: Recording, name: str = "tracker", about: str = "", double: bool = False
+) -> Source:
+    """The C source of a tracker for rows as those of a recording.
+
+    `name`: of the functions NAME_init and NAME_step; where a start searches, NAME_begin starts a track from a mean and
+    covariance instead. `about`: a comment. `double`: in double precision. Raises UnusableInput, naming the operation,
+    for a tracker whose step is more than arithmetic.
+    """
+    if not isinstance(tracker, Tracker):
+        raise UnusableInput(f"{type(tracker).__name__} has no step in C; expected a filter, as of fix-kf or uwb")
+    with jax.enable_x64(double):
+        return _source(tracker, recording, name, about, double)
+
+
+def _source(tracker: Tracker, recording: Recording, name: str, about: str, double: bool) -> Source:
+    model = freeze(as_dtype(tracker, np.float64 if double else np.float32))
+    row = _row(stack([recording]), np.float64 if double else np.float32)
+    carry = first_carry(model, row, False)
+    begin = None
+    try:
+        step = _traced(lambda s, r: one_row(model, s, r, True), double, s=carry, r=row)
+    except NotImplementedError:
+        try:
+            step = _traced(lambda s, r: one_row(model, s, r, False), double, s=carry, r=row)
+            mean, cov = model.moments(carry.belief)
+            begin = _traced(lambda m, c: _begun(model, m, c), double, m=mean, c=tuple(as_scalars(cov)))
+        except NotImplementedError as error:
+            raise UnusableInput(
+                f"the tracker has the operation {error}, as of a search, a loop or random numbers; expected arithmetic"
+            ) from None
+    return _written(name, about or name, tracker, carry, row, step, begin, "double" if double else "float")
+
+
+def _begun(tracker: Any, mean: Any, cov: Any) -> Carry:
+    return in_form(carry_of(tracker, Gaussian(mean, cov), jnp.zeros(2, jnp.uint32), jnp.uint32(0)), False)
+
+
+class _Text(NamedTuple):
+    """Statements that compute `results`, arrays of names and numbers; `needed`: the names that they read or define."""
+
+    lines: list[str]
+    results: list[np.ndarray]
+    needed: set[str]
+    shapes: Any
+
+
+def _traced(function: Callable[..., Any], double: bool, **arguments: Any) -> _Text:
+    """A function's statements; the numbers of an argument are called after it. Raises NotImplementedError."""
+    closed, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments.values())
+    live, used = live_part(closed.jaxpr)
+    names = [
+        np.array([f"{prefix}{k}_{i}" for i in range(np.size(x))], object).reshape(np.shape(x))
+        for prefix, tree in arguments.items()
+        for k, x in enumerate(jax.tree_util.tree_leaves(tree))
+    ]
+    program = _Program(double)
+    results = program.run(live, closed.consts, [x for x, u in zip(names, used, strict=True) if u])
+    needed, lines = program.needed([x for array in results for x in array.ravel()])
+    return _Text(lines, results, needed, shapes)
+
+
+def rows_of(recording: Recording, columns: Sequence[str]) -> np.ndarray:
+    """The rows (T, columns) of a recording for the program of `c_source`."""
+    batch = stack([recording])
+    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
+    fields = jax.tree_util.tree_flatten_with_path(rows)[0]
+    whole = {_column(path, i): np.reshape(x, (len(x), -1))[:, i] for path, x in fields for i in range(np.size(x[0]))}
+    return np.stack([np.asarray(whole[column], float) for column in columns], axis=1)
+
+
+def _row(batch: Batch, dtype: Any) -> Row:
+    """The first row of the first trajectory."""
+
+    def one(x: Any) -> Any:
+        x = jnp.asarray(np.asarray(x)[0][..., 0])
+        return x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x
+
+    row = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
+    return jax.tree_util.tree_map(one, row)._replace(key=jnp.zeros(2, jnp.uint32), number=jnp.uint32(0))
+
+
+def _column(path: Any, index: int) -> str:
+    """The name of a number of a row, as `ranges_values_0`."""
+    words = [str(getattr(key, "name", getattr(key, "key", ""))) for key in path]
+    words = words[1:] if words[0] in ("readings", "inputs") else words
+    return re.sub(r"\W", "_", "_".join(words)) + ("" if words in (["dt"], ["valid"]) else f"_{index}")
+
+
+class _Program:
+    """Statements of C for the equations of a program; arrays are arrays of names and numbers."""
+
+    def __init__(self, double: bool) -> None:
+        self.suffix = "" if double else "f"
+        self.real = "double" if double else "float"
+        self.lines: dict[str, tuple[str, str]] = {}
+        self.seen: dict[str, str] = {}
+
+    def run(self, program: Any, constants: Sequence[Any], arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The results of a program's equations."""
+        known = dict(zip([*program.constvars, *program.invars], [*map(_objects, constants), *arguments], strict=True))
+
+        def value(x: Any) -> np.ndarray:
+            return _objects(x.val) if is_literal(x) else known[x]
+
+        for equation in program.eqns:
+            inputs = [value(x) for x in equation.invars]
+            results = self.equation(equation, inputs)
+            known |= zip(equation.outvars, map(_objects, results), strict=True)
+        return [value(x) for x in program.outvars]
+
+    def equation(self, equation: Any, inputs: list[np.ndarray]) -> list[Any]:
+        """The results of one equation."""
+        name, parameters, result = equation.primitive.name, equation.params, equation.outvars[0].aval
+        if name in NESTED:
+            inner = next(parameters[key] for key in ("jaxpr", "call_jaxpr", "call") if key in parameters)
+            return self.run(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), inputs)
+        if name in SAME:
+            return inputs
+        if not any(isinstance(x, str) for array in inputs for x in array.ravel()):
+            values = [jnp.asarray(x.tolist(), v.aval.dtype) for x, v in zip(inputs, equation.invars, strict=True)]
+            found = equation.primitive.bind(*values, **parameters)
+            return list(found) if equation.primitive.multiple_results else [found]
+        x = inputs[0]
+        match name:
+            case "broadcast_in_dim":
+                shape = [1] * len(parameters["shape"])
+                for axis, size in zip(parameters["broadcast_dimensions"], x.shape, strict=True):
+                    shape[axis] = size
+                return [np.broadcast_to(x.reshape(shape), parameters["shape"])]
+            case "reshape" | "squeeze" | "expand_dims":
+                return [x.reshape(result.shape)]
+            case "slice":
+                ends = (parameters[key] or [1] * x.ndim for key in ("start_indices", "limit_indices", "strides"))
+                return [x[tuple(slice(*part) for part in zip(*ends, strict=True))]]
+            case "concatenate":
+                return [np.concatenate(inputs, axis=parameters["dimension"])]
+            case "stack":
+                return [np.stack(inputs, axis=parameters["axis"])]
+            case "unstack":
+                return list(np.moveaxis(x, parameters["axis"], 0))
+            case "transpose":
+                return [x.transpose(parameters["permutation"])]
+            case "split":
+                return np.split(x, np.cumsum(parameters["sizes"])[:-1], axis=parameters["axis"])
+            case _ if name in REDUCED:
+                axes = parameters["axes"]
+                parts = np.moveaxis(x, axes, range(len(axes))).reshape(-1, *result.shape)
+                return [self.summed(REDUCED[name], parts, result.dtype)]
+            case "dot_general":
+                return [self.product(x, inputs[1], parameters["dimension_numbers"], result.dtype)]
+        return [self.each(name, inputs, parameters, result.dtype)]
+
+    def product(self, a: np.ndarray, b: np.ndarray, numbers: Any, dtype: Any) -> np.ndarray:
+        """A product of matrices without batches."""
+        (of_a, of_b), (batched, _) = numbers
+        if batched:
+            raise NotImplementedError("dot_general")
+        first = np.moveaxis(a, of_a, range(len(of_a))).reshape(-1, *np.delete(a.shape, of_a))
+        second = np.moveaxis(b, of_b, range(len(of_b))).reshape(-1, *np.delete(b.shape, of_b))
+        first = first.reshape(*first.shape, *[1] * (second.ndim - 1))
+        second = second.reshape(len(second), *[1] * (first.ndim - second.ndim), *second.shape[1:])
+        return self.summed("add", self.each("mul", [first, second], {}, dtype), dtype)
+
+    def summed(self, name: str, parts: np.ndarray, dtype: Any) -> np.ndarray:
+        """The parts (n, …) joined one after another by an operation."""
+        whole = parts[0]
+        for part in parts[1:]:
+            whole = self.each(name, [_objects(whole), _objects(part)], {}, dtype)
+        return whole
+
+    def each(self, name: str, inputs: list[np.ndarray], parameters: Mapping[str, Any], dtype: Any) -> np.ndarray:
+        """An operation on each element; raises NotImplementedError for any other one."""
+        if name not in (*TEMPLATES, POWER, CONVERTED) or (name == "select_n" and len(inputs) != 3):
+            raise NotImplementedError(name)
+        spread = np.broadcast_arrays(*inputs)
+        result = np.empty(spread[0].shape, object)
+        for index in np.ndindex(result.shape):
+            result[index] = self.operation(name, [x[index] for x in spread], parameters, dtype)
+        return result
+
+    def operation(self, name: str, given: Sequence[Any], parameters: Mapping[str, Any], dtype: Any) -> str:
+        """The variable with the result of an operation on numbers."""
+        x = [self.text(value) for value in given]
+        if name == CONVERTED:
+            flag, whole = np.issubdtype(dtype, np.bool_), np.issubdtype(dtype, np.integer)
+            return self.variable(f"{x[0]} != 0" if flag else f"({'int' if whole else self.real}){x[0]}", dtype)
+        if name == POWER:
+            power = " * ".join(x * abs(parameters["y"]))
+            return self.variable(power if parameters["y"] > 0 else f"1 / ({power})", dtype)
+        return self.variable(TEMPLATES[name].format(*x, f=self.suffix, real=self.real), dtype)
+
+    def variable(self, expression: str, dtype: Any) -> str:
+        """The variable with the value of an expression, one for equal ones."""
+        if expression not in self.seen:
+            name = self.seen[expression] = f"t{len(self.lines)}"
+            self.lines[name] = (self.real if np.issubdtype(dtype, np.floating) else "int", expression)
+        return self.seen[expression]
+
+    def text(self, value: Any) -> str:
+        """A number, or the name of a variable."""
+        if isinstance(value, str):
+            return value
+        if isinstance(value, (bool, np.bool_, int, np.integer)):
+            return str(int(value)) if value >= 0 else f"({int(value)})"
+        if not np.isfinite(value):
+            return "NAN" if value != value else "INFINITY" if value > 0 else "(-INFINITY)"
+        digits = repr(float(value)) if self.suffix == "" else np.format_float_scientific(np.float32(value))
+        digits = digits if any(c in digits for c in ".e") else digits + ".0"
+        return f"{digits}{self.suffix}" if value >= 0 else f"({digits}{self.suffix})"
+
+    def needed(self, results: Sequence[Any]) -> tuple[set[str], list[str]]:
+        """The names that results depend on, and the statements that compute these."""
+        needed = {x for x in results if isinstance(x, str)}
+        lines = []
+        for name, (kind, expression) in reversed(self.lines.items()):
+            if name in needed:
+                needed |= set(re.findall(r"\b[rst]\d+(?:_\d+)?\b", expression))
+                lines.append(f"    const {kind} {name} = {expression};")
+        return needed, lines[::-1]
+
+
+def _objects(values: Any) -> np.ndarray:
+    """An array of names and numbers."""
+    if isinstance(values, np.ndarray) and values.dtype == object:
+        return values
+    if isinstance(values, str):
+        return np.array(values, object)
+    return np.asarray(values).astype(object)
+
+
+def _written(
+    name: str, about: str, tracker: Tracker, carry: Carry, row: Row, step: _Text, begin: _Text | None, real: str
+) -> Source:
+    program, count = _Program(real == "double"), len(jax.tree_util.tree_leaves(carry))
+    leaves = [(f"s{k}", x) for k, x in enumerate(jax.tree_util.tree_leaves(carry))]
+    places = [f"{key}_{i}" for key, x in leaves for i in range(np.size(x))]
+    sources = {key: f"state->s[{k}]" for k, key in enumerate(places)}
+    for k, (path, x) in enumerate(jax.tree_util.tree_flatten_with_path(row)[0]):
+        leaves.append((f"r{k}", x))
+        sources |= {f"r{k}_{i}": f"row->{_column(path, i)}" for i in range(np.size(x))}
+    flags = {key for key, x in leaves if x.dtype == bool}
+    columns = tuple(source[5:] for key, source in sources.items() if key in step.needed and source.startswith("row"))
+    loads = [
+        f"    const {'int' if (flag := key.partition('_')[0] in flags) else real} {key} = {source}{' != 0' * flag};"
+        for key, source in sources.items()
+        if key in step.needed
+    ]
+
+    def stored(arrays: Sequence[Any], target: str = "    state->s[{}] = {};") -> list[str]:
+        flat = (x for array in arrays for x in np.asarray(array).ravel())
+        return [target.format(k, program.text(x)) for k, x in enumerate(flat)]
+
+    components = component_names(step.shapes[1][0])
+    outputs = [*components, *(f"cov_{k}" for k in range(len(step.shapes[1][1]))), *OUTPUTS]
+    outputs = [re.sub(r"\W", "_", output) for output in outputs]
+    outs = [line.format(*outputs) for line in stored(step.results[count:], "    out->{{{}}} = {};")]
+    levels = [f" * {key} = {np.asarray(x.value).tolist()} {x.unit}" for key, x in tunables(tracker).items()]
+    signatures = [
+        f"void {name}_init({name}_state *state)",
+        f"void {name}_step({name}_state *state, const {name}_row *row, {name}_out *out)",
+    ]
+    bodies = [stored(jax.tree_util.tree_leaves(carry)), [*loads, *step.lines, *stored(step.results[:count]), *outs]]
+    if begin is not None:
+        size, entries = len(components), len(step.shapes[1][1])
+        signatures.append(
+            f"void {name}_begin({name}_state *state, const {real} mean[{size}], const {real} cov[{entries}])"
+        )
+        given = [*(f"m{k}_0" for k in range(size)), *(f"c{k}_0" for k in range(entries))]
+        read = [f"mean[{k}]" for k in range(size)] + [f"cov[{k}]" for k in range(entries)]
+        used = [f"    const {real} {a} = {b};" for a, b in zip(given, read, strict=True) if a in begin.needed]
+        bodies.append([*used, *begin.lines, *stored(begin.results)])
+    functions = "\n\n".join(
+        "\n".join([signature, "{", *body, "}"]) for signature, body in zip(signatures, bodies, strict=True)
+    )
+    guard, line = name.upper(), "\n"
+    header = f"""/*
+ * {about}, written by trackwright.
+{line.join(levels)}
+ */
+#ifndef {guard}_H
+#define {guard}_H
+
+/* A row: dt since the row before, s; valid and seen are 0 or 1; what is not seen is 0. */
+typedef struct {{
+{line.join(f"    {real} {column};" for column in columns)}
+}} {name}_row;
+
+/* cov: the upper triangle, row by row. status: {", ".join(f"{s.value} {s.name.lower()}" for s in Status)}. */
+typedef struct {{
+{line.join(f"    {real} {output};" for output in outputs)}
+}} {name}_out;
+
+typedef struct {{
+    {real} s[{len(places)}];
+}} {name}_state;
+
+{line.join(f"{signature};" for signature in signatures)}
+
+#endif
+"""
+    form = ",".join(["%.9g" if real == "float" else "%.17g"] * len(outputs))
+    body = f"""#include "{name}.h"
+
+#include <math.h>
+
+{functions}
+
+#ifdef {guard}_MAIN
+#include <stdio.h>
+
+/* Replays lines of {len(columns)} numbers, the fields of a row, from the standard input. */
+int main(void)
+{{
+    {name}_state state;
+    {name}_row row;
+    {name}_out out;
+    double x[{len(columns)}];
+    {name}_init(&state);
+    for (;;) {{
+        for (int k = 0; k < {len(columns)}; k++) {{
+            if (scanf(k ? ",%lf" : "%lf", &x[k]) != 1) return 0;
+        }}
+{line.join(f"        row.{column} = ({real})x[{k}];" for k, column in enumerate(columns))}
+        {name}_step(&state, &row, &out);
+        printf("{form}\\n", {", ".join(f"(double)out.{output}" for output in outputs)});
+    }}
+}}
+#endif
+"""
+    return Source(header, body, columns)

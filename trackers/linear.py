@@ -1,0 +1,344 @@
+"""A Kalman filter that a user has, as matrices or plain functions, as a tracker like every other.
+
+The state at the first row, before its measurement, is normal with mean `x0` and covariance `P0`, as in pykalman and
+statsmodels; filters that predict first, as filterpy's, begin with F x0 and F P0 Fᵀ + Q.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections import namedtuple
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, times, total, triangle
+from trackwright.trackers.core.model.covariance import Gaussian
+from trackwright.trackers.core.model.inputs import Inputs
+from trackwright.trackers.core.model.motion import AbstractMotion, Noise
+from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, Residual, Row
+from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.model.tunable import Covariance, Role, Scale
+from trackwright.trackers.core.run.track_loss import TrackLossPolicy
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.fixes import correlated
+
+Matrix = Float[np.ndarray, "n n"] | Callable[..., Any] | tuple[Callable[..., Any], Mapping[str, float]]
+"""A covariance: an array; a function of `dt`, s; or a function of `dt` and numbers to tune, with their first values."""
+
+SENSOR = "z"
+"""The name of the readings where there is one sensor alone."""
+
+DIFFUSE = 1e6
+"""Variance of each component of the state where no `P0` is given."""
+
+_SINGULAR = 1e-12
+
+
+def linear(
+    F: Any,
+    H: Any,
+    Q: Matrix,
+    R: Any,
+    *,
+    x0: Sequence[float] | None = None,
+    P0: Any = None,
+    B: Any = None,
+    state: Mapping[str, int] | None = None,
+) -> Tracker:
+    """The Kalman filter of x' = F x + B u + N(0, Q) and z = H x + N(0, R).
+
+    F (n, n), H (m, n) and B (n, k) are arrays, or functions that return arrays: of `dt`, s, or of `dt` and the row's
+    inputs (H: of the inputs alone), which `series` takes by name. u (T, k) is the input `u` of `series`. Several
+    sensors: H and R by their names. Q, R: see `Matrix`; a full array is tuned as a covariance, a diagonal one by its
+    standard deviations, a singular Q by a common factor, a function by its numbers. `state`: names of parts of the
+    state with their lengths in order, as {"position": 2, "velocity": 2}; metrics know `position`. Raises UnusableInput
+    for shapes that do not fit.
+    """
+    size = len(F) if not callable(F) else None
+    sensors = H if isinstance(H, Mapping) else {SENSOR: H}
+    size = size or next((np.shape(h)[1] for h in sensors.values() if not callable(h)), len(() if x0 is None else x0))
+    forward, control = _product("F", F, size, size), None if B is None else _product("B", B, size)
+
+    def step(x: Vector, dt: Scalar, inputs: Inputs) -> list[Scalar]:
+        moved = forward(x, (dt, inputs))
+        if control is None:
+            return moved
+        u = jnp.atleast_1d(jnp.asarray(inputs["u"]))
+        return [a + b for a, b in zip(moved, control([u[k] for k in range(len(u))], (dt, inputs)), strict=True)]
+
+    measured = {name: _product(f"H of {name}", h, None, size) for name, h in sensors.items()}
+    functions = {name: (lambda x, inputs, h=h: h(x, (inputs,))) for name, h in measured.items()}
+    return _tracker(step, functions, Q, R, size, x0, P0, state)
+
+
+def nonlinear(
+    step: Callable[..., Any],
+    measure: Any,
+    Q: Matrix,
+    R: Any,
+    *,
+    x0: Sequence[float],
+    P0: Any = None,
+    state: Mapping[str, int] | None = None,
+) -> Tracker:
+    """The extended Kalman filter of x' = step(x, dt) + N(0, Q) and z = measure(x) + N(0, R), by automatic derivatives.
+
+    Both are functions of jax arrays, x (n,), with the row's inputs as a further argument if they take one, and may
+    return a sequence of numbers. Otherwise as `linear`.
+    """
+    sensors = measure if isinstance(measure, Mapping) else {SENSOR: measure}
+
+    def moved(x: Vector, dt: Scalar, inputs: Inputs) -> Any:
+        return _called(step, x.array(), dt, inputs)
+
+    functions = {name: (lambda x, inputs, h=h: _called(h, x.array(), inputs)) for name, h in sensors.items()}
+    return _tracker(moved, functions, Q, R, len(x0), x0, P0, state)
+
+
+def series(
+    z: Any,
+    *,
+    times: np.ndarray | None = None,
+    std: Any = None,
+    truth: Mapping[str, np.ndarray] | None = None,
+    name: str = "series",
+    **inputs: np.ndarray,
+) -> Recording:
+    """Measurements for a tracker of `linear` or `nonlinear`: z (T, m) or (T,), by sensor where there are several.
+
+    NaN marks a missing value; a sensor at a rate of its own has NaN in the other rows. `times`: (T,) s, by default
+    0, 1, 2 …. `std`: standard deviations of the shape of z, which add to R. `inputs`: arrays (T, …) by name, as u=….
+    `truth`: (T, d) by the name of a part of the state. Raises UnusableInput for arrays that do not fit.
+    """
+    by_sensor, spread = (x if isinstance(x, Mapping) else {SENSOR: x} for x in (z, std))
+    readings = {}
+    for sensor, values in by_sensor.items():
+        values = np.asarray(values, float)
+        values = values[:, None] if values.ndim == 1 else values
+        seen, known = np.isfinite(values), spread.get(sensor)
+        if np.isinf(values).any():
+            raise UnusableInput(f"series: {sensor} has an infinite value; mark what is missing by NaN")
+        variances = np.zeros(values.shape) if known is None else np.nan_to_num(np.reshape(known, values.shape)) ** 2
+        readings[sensor] = Readings(np.where(seen, values, 0.0), seen, variances)
+    rows = len(next(iter(readings.values())).values)
+    known_truth = {key: np.asarray(x, float) for key, x in (truth or {}).items()}
+    present = {key: np.isfinite(x).all(axis=1) for key, x in known_truth.items()}
+    truths = {key: (np.where(present[key][:, None], x, 0.0), present[key]) for key, x in known_truth.items()}
+    given = {key: np.asarray(x, float) for key, x in inputs.items()}
+    return Recording(np.arange(float(rows)) if times is None else times, readings, given, truths, name)
+
+
+class _Rooted(eqx.Module):
+    """Noise of a fixed root, whose columns have the factors `sigma`: standard deviations, or one factor of all columns.
+
+    `columns`: of the root, its entries by row.
+    """
+
+    sigma: Noise
+    columns: tuple[tuple[tuple[int, float], ...], ...] = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+
+    def root(self, dt: Scalar) -> list[dict[int, Scalar]]:
+        """The rows of a root of the covariance, by column."""
+        rows: list[dict[int, Scalar]] = [{} for _ in range(self.size)]
+        for j, column in enumerate(self.columns):
+            for i, entry in column:
+                rows[i][j] = times(entry, self.sigma.value[min(j, len(self.sigma.value) - 1)])
+        return rows
+
+    def entries(self, dt: Scalar) -> list[list[Scalar]]:
+        """The covariance."""
+        rows = self.root(dt)
+        return [[total(a[j] * b[j] for j in sorted(a.keys() & b.keys())) for b in rows] for a in rows]
+
+
+class _Function(eqx.Module):
+    """Noise whose covariance is a function of `dt` and of tunable `numbers`."""
+
+    numbers: dict[str, Noise]
+    function: Callable[..., Any] = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+
+    def entries(self, dt: Scalar) -> list[list[Scalar]]:
+        """The covariance."""
+        array = jnp.asarray(self.function(dt, **{name: number.value for name, number in self.numbers.items()}))
+        return [[array[i, j] for j in range(self.size)] for i in range(self.size)]
+
+    def root(self, dt: Scalar) -> list[dict[int, Scalar]]:
+        """The rows of a root of the covariance, by column."""
+        entries = self.entries(dt)
+        upper = {(i, j): entries[i][j] for i, j in triangle(self.size)}
+        factor = cholesky(upper, range(self.size), _SINGULAR)
+        return [{j: factor[i, j] for j in range(i + 1)} for i in range(self.size)]
+
+
+class _Motion(AbstractMotion):
+    """x' = function(x, dt, inputs) + the noise `Q`; unchanged where no time passes."""
+
+    Q: eqx.Module
+    function: Callable[..., Any] = eqx.field(static=True)
+    parts: tuple[tuple[str, int], ...] = eqx.field(static=True)
+
+    @property
+    def noise_dimension(self) -> int:
+        return sum(length for _, length in self.parts)
+
+    def step(self, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
+        x = Vector(*(number for part in state for number in part))
+        moved = self.function(x, dt, inputs)
+        rows = enumerate(self.Q.root(dt))  # type: ignore[attr-defined]
+        noisy = [total([moved[i], *(times(a, w[j]) for j, a in row.items())]) for i, row in rows]
+        return _state(self.parts, [jnp.where(dt > 0, a, b) for a, b in zip(noisy, x, strict=True)])
+
+
+class _Sensor(AbstractSensor):
+    """z = function(x, inputs) + the noise `R`, to which reported variances add."""
+
+    R: eqx.Module
+    function: Callable[..., Any] = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        return tuple(Channel(f"z{k}", "1") for k in range(self.size))
+
+    @property
+    def reported(self) -> tuple[Channel, ...]:
+        return tuple(Channel(f"variance_{k}", "1") for k in range(self.size))
+
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
+        predicted = self.function(Vector(*(number for part in view for number in part)), inputs)
+        return [predicted[k] for k in range(self.size)]
+
+    def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
+        noise = self.R.entries(0.0)  # type: ignore[attr-defined]
+        for k, variance in enumerate(reading.reported):
+            noise[k][k] = noise[k][k] + variance
+        return correlated([z - p for z, p in zip(reading.values, predicted, strict=True)], noise, list(reading.seen))
+
+
+class _Prior(AbstractStart):
+    """A known belief at the first row, before its measurement."""
+
+    known: ClassVar[bool] = True
+    mean: tuple[float, ...] = eqx.field(static=True)
+    upper: tuple[float, ...] = eqx.field(static=True)
+    parts: tuple[tuple[str, int], ...] = eqx.field(static=True)
+
+    def can_start(self, row: Row) -> Scalar:
+        return row.valid
+
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+        return jnp.zeros_like(row.dt)
+
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
+        return Gaussian(
+            _state(self.parts, [x + candidate for x in self.mean]), tuple(x + candidate for x in self.upper)
+        )
+
+
+def _tracker(
+    step: Callable[..., Any],
+    functions: Mapping[str, Callable[..., Any]],
+    Q: Matrix,
+    R: Any,
+    size: int,
+    x0: Sequence[float] | None,
+    P0: Any,
+    state: Mapping[str, int] | None,
+) -> Tracker:
+    parts = tuple((state or {"x": size}).items())
+    mean = np.zeros(size) if x0 is None else np.asarray(x0, float)
+    cov = DIFFUSE * np.eye(size) if P0 is None else np.asarray(P0, float)
+    if not size or sum(length for _, length in parts) != size or mean.shape != (size,) or cov.shape != (size, size):
+        raise UnusableInput(
+            f"a state of {size} numbers with state = {dict(parts)}, x0 of shape {mean.shape} and P0 {cov.shape}; "
+            f"expected {size} in all and ({size}, {size})"
+        )
+    noises = R if isinstance(R, Mapping) else {SENSOR: R}
+    if set(noises) != set(functions):
+        raise UnusableInput(f"sensors {', '.join(functions)} and R of {', '.join(noises)}; expected the same names")
+    sensors = {}
+    for name, function in functions.items():
+        noise = _noise(f"R of {name}", noises[name], None, "measurement noise")
+        sensors[name] = _Sensor(noise, function, noise.size)
+    motion = _Motion(_noise("Q", Q, size, "process noise"), step, parts)
+    start = _Prior(tuple(mean.tolist()), tuple(float(cov[i, j]) for i, j in triangle(size)), parts)
+    return Tracker(motion, sensors, start, track_loss=TrackLossPolicy(np.inf, max_gap=np.inf))
+
+
+def _noise(what: str, given: Matrix, size: int | None, role: Role) -> Any:
+    """The noise of a covariance, as it is tuned."""
+    function, numbers = given if isinstance(given, tuple) else (given, {})
+    if callable(function):
+        shape = np.shape(function(1.0, **numbers))
+        _square(what, shape, size)
+        return _Function({name: Scale(x, "1", role) for name, x in numbers.items()}, function, shape[0])
+    matrix = np.atleast_2d(np.asarray(given, float))
+    n = _square(what, matrix.shape, size)
+    eigenvalues, vectors = np.linalg.eigh(matrix)
+    if not np.allclose(matrix, matrix.T, rtol=1e-9) or eigenvalues[0] < -_SINGULAR * eigenvalues[-1]:
+        raise UnusableInput(f"{what} = {matrix.tolist()}; expected a symmetric covariance, positive semidefinite")
+    some, regular = np.flatnonzero(np.diag(matrix)).tolist(), eigenvalues[0] > _SINGULAR * eigenvalues[-1]
+    if role == "measurement noise" and not regular:
+        raise UnusableInput(f"{what} = {matrix.tolist()} is singular; expected noise in every number of a reading")
+    if np.count_nonzero(matrix) == len(some):
+        return _Rooted(Scale(np.sqrt(np.diag(matrix)[some]), "1", role), tuple(((i, 1.0),) for i in some), n)
+    if regular:
+        return _Function({"covariance": Covariance(matrix, "1", role)}, _itself, n)
+    roots = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T[eigenvalues > _SINGULAR * eigenvalues[-1]]
+    columns = tuple(tuple((i, float(x)) for i, x in enumerate(root) if x) for root in roots)
+    return _Rooted(Scale(np.ones(1), "1", role), columns, n)
+
+
+def _itself(dt: Scalar, covariance: Any) -> Any:
+    return covariance
+
+
+def _square(what: str, shape: tuple[int, ...], size: int | None) -> int:
+    if len(shape) != 2 or shape[0] != shape[1] or size not in (None, shape[0]):
+        raise UnusableInput(f"{what} has shape {shape}; expected {(size, size) if size else 'a square matrix'}")
+    return shape[0]
+
+
+def _product(what: str, matrix: Any, rows: int | None, columns: int | None = None) -> Callable[..., list[Scalar]]:
+    """The function of a vector and further arguments that multiplies by a matrix, or by what a function returns."""
+    if callable(matrix):
+
+        def varying(x: Sequence[Scalar], arguments: tuple[Any, ...]) -> list[Scalar]:
+            array = jnp.asarray(_called(matrix, *arguments))
+            return [total(array[i, j] * v for j, v in enumerate(x)) for i in range(array.shape[0])]
+
+        return varying
+    array = np.atleast_2d(np.asarray(matrix, float))
+    if array.ndim != 2 or rows not in (None, array.shape[0]) or columns not in (None, array.shape[1]):
+        raise UnusableInput(f"{what} has shape {array.shape}; expected ({rows or 'm'}, {columns or 'k'})")
+    # Zeros and ones cost nothing.
+    entries = [{j: float(v) for j, v in enumerate(row) if v} for row in array]
+    return lambda x, _: [total(times(a, x[j]) for j, a in row.items()) for row in entries]
+
+
+def _called(function: Callable[..., Any], *arguments: Any) -> Any:
+    """The function of as many of the arguments as it takes."""
+    return function(*arguments[: len(inspect.signature(function).parameters)])
+
+
+@lru_cache
+def _kind(names: tuple[str, ...]) -> Any:
+    return namedtuple("State", names)
+
+
+def _state(parts: tuple[tuple[str, int], ...], numbers: Sequence[Scalar]) -> Any:
+    """The state with these parts."""
+    ends = np.cumsum([0, *(length for _, length in parts)])
+    vectors = (Vector(*numbers[a:b]) for a, b in pairwise(ends))
+    return _kind(tuple(name for name, _ in parts))(*vectors)
