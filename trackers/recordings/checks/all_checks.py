@@ -91,18 +91,17 @@ def _of_tables(recording: RecordingFolder, measured: Mapping[str, pl.DataFrame])
 def _of_readings(
     recording: RecordingFolder, name: str, full: bool, sound: bool, calibrated: bool
 ) -> Iterator[CheckResult]:
-    """The most likely mistake in a table, against truth or of readings among themselves, and how readings are."""
+    """The likely mistakes in a table, against truth or of readings among themselves, and how readings are."""
     view, mistakes = compared(recording, name), list[CheckResult]()
     if view is not None and sound:
-        mistakes = list(check_against_truth(view, calibrated))
+        mistakes += check_against_truth(view, calibrated)
     elif sound and not calibrated and (of_moments := moments(recording, name)) is not None:
-        mistakes = list(check_closing(of_moments))
-    if full:
-        yield from check_readings(recording, name)
-        found = [] if view is None else [*check_residuals(view)]
-        # A mistake has one cause: what errors with it look like is no second one.
-        yield from (one for one in found if one.level == "info" or not _errors(mistakes))
+        mistakes += check_closing(of_moments)
     yield from mistakes
+    yield from check_readings(recording, name) if full else ()
+    # A mistake has one cause: what errors with it look like is no second one.
+    found = check_residuals(view) if full and view is not None else ()
+    yield from (one for one in found if one.level == "info" or not _errors(mistakes))
 
 
 def require_sound(recording: RecordingFolder, force: bool | None, calibrated: bool) -> list[str]:

@@ -130,10 +130,8 @@ def _of_rig(view: Compared) -> Iterator[Change]:
         other = Rotation.from_quat(q, scalar_first=True).as_matrix()
         order = "rotation_wxyz read as x, y, z, w", "the quaternion is written x, y, z, w; reorder it"
         cause = "the quaternion takes world vectors to array vectors; invert it (negate x, y, z)"
-        fixed += [
-            (*order, {"axes": other}),
-            ("rotation_wxyz inverted", cause, {"axes": np.swapaxes(sensors.axes, 1, 2)}),
-        ]
+        inverted = "rotation_wxyz inverted", cause, {"axes": np.swapaxes(sensors.axes, 1, 2)}
+        fixed += [(*order, {"axes": other}), inverted]
     if kind.angles:
         turned += [("the azimuth turned", partial(_with_values, of=lambda v, turn: v - [turn, 0.0]), "offset")]
         # An azimuth of a compass counts from north, clockwise.
@@ -147,9 +145,8 @@ def _of_rig(view: Compared) -> Iterator[Change]:
         for f in (0.001, 0.01):  # an array as small does not resolve directions: all phases are equal
             small = f * np.nanmax(np.abs(antennas), axis=(1, 2)) < 0.15 * sensors.wavelengths
             other = np.where(small[:, None, None], np.nan, f * antennas)
-            fixed += [
-                (f"antennas_m multiplied by {f:g}", f"antennas_m in {FACTORS[f]}; convert it", {"antennas": other})
-            ]
+            words, cause = f"antennas_m multiplied by {f:g}", f"antennas_m in {FACTORS[f]}; convert it"
+            fixed += [(words, cause, {"antennas": other})]
         scales = np.append(np.arange(-1.386, 1.4, 0.02), np.log([1e-3, 1e-2]))[:, None]
         cause = "wavelength_m or antennas_m in another unit or scale; correct rig.toml"
         wrong, shown = lambda x: abs(x[0]) >= LEAST_SCALE, lambda x: f"{np.exp(x[0]):.4g} times rig.toml's"
@@ -171,15 +168,12 @@ def _of_rig(view: Compared) -> Iterator[Change]:
         scaled = partial(_with_fields, places=f * sensors.places)
         yield Change(f"the positions of the {kind.noun}s multiplied by {f:g}", cause, scaled)
 
-    def around(v: Compared) -> list[np.ndarray]:
-        own = v.sensors.places[v.group[0]]
-        return [own, v.sensors.places.mean(axis=0), 2 * v.positions.mean(axis=0) - own]
-
-    place = partial(
-        _with_fields, places=lambda v, x: np.where(np.arange(len(v.ids))[:, None] == v.group[0], x, v.sensors.places)
-    )
-    yield Change("another position", "a wrong position in rig.toml; measure it again", place, True, around,
-                 shown=lambda x: f"at {_metres(x)}", of="place")  # fmt: skip
+    own = lambda v: v.sensors.places[v.group[0]]  # noqa: E731
+    around = lambda v: [own(v), v.sensors.places.mean(axis=0), 2 * v.positions.mean(axis=0) - own(v)]  # noqa: E731
+    moved = lambda v, x: np.where(np.arange(len(v.ids))[:, None] == v.group[0], x, v.sensors.places)  # noqa: E731
+    place, shown = partial(_with_fields, places=moved), lambda x: f"at {_metres(x)}"
+    cause = "a wrong position in rig.toml; measure it again"
+    yield Change("another position", cause, place, True, around, shown=shown, of="place")
 
 
 def _rescaled(view: Compared, x: Numbers) -> Compared:
@@ -191,11 +185,7 @@ def _rescaled(view: Compared, x: Numbers) -> Compared:
 
 def _of_truth(view: Compared) -> Iterator[Change]:
     """Changes of the unit, the axes, the place and the clock of the truth, or of the scale of what is no place."""
-    kind, centre, other = (
-        view.kind,
-        np.nanmean(view.positions, axis=0),
-        "the fixes" if view.kind.position else "rig.toml",
-    )
+    kind, centre = view.kind, np.nanmean(view.positions, axis=0)
     if kind.sensors or kind.position:
         for f, unit in FACTORS.items():
             scaled = partial(_with_fields, positions=f * view.positions)
@@ -204,6 +194,7 @@ def _of_truth(view: Compared) -> Iterator[Change]:
             # The maker's height is often of no use, or mirrored in the plane of the anchors.
             of = "harmless" if kind.position and axes.words == "the sign of z of the truth flipped" else ""
             moved = partial(_with_fields, positions=view.positions @ axes.matrix.T)
+            other = "the fixes" if kind.position else "rig.toml"
             cause = f"the truth has other axes than {other}; bring both into one frame"
             yield Change(axes.words, cause, moved, of=of)
         target = view.sensors.places.mean(axis=0) if kind.sensors else known_median(view.values)
@@ -219,10 +210,14 @@ def _of_truth(view: Compared) -> Iterator[Change]:
         wrong, shown = lambda x: abs(x[0]) > LEAST_FACTOR, lambda x: f"times {np.exp(x[0]):.3g}"
         times = partial(_with_values, of=lambda v, factor: v * np.exp(factor))
         yield Change("another unit or scale", cause, times, False, lambda _: scales[:, None], wrong, shown)
-    if moves(view):
-        longest = min(LONGEST_DELAY_S, 0.45 * float(np.ptp(view.times)))
-        delays = sorted(np.arange(-longest, longest, 0.5), key=abs)
-        yield _placed(view, centre, "delayed", 1.0, [4], [np.array([0.0, *centre, delay]) for delay in delays])
+    yield from [delayed(view)] if moves(view) else []
+
+
+def delayed(view: Compared) -> Change:
+    """The truth of some seconds before or after."""
+    longest, centre = min(LONGEST_DELAY_S, 0.45 * float(np.ptp(view.times))), np.nanmean(view.positions, axis=0)
+    delays = sorted(np.arange(-longest, longest, 0.5), key=abs)
+    return _placed(view, centre, "delayed", 1.0, [4], [np.array([0.0, *centre, delay]) for delay in delays])
 
 
 def _placed(
@@ -238,13 +233,14 @@ def _placed(
         origin, yaw = x[1:4] - about_vertical(x[0]) @ (centre * [1.0, mirror, 1.0]), np.degrees(half_turn(x[0]))
         again = "import the truth again with --align-truth, which fits the clock as well, or --transform "
         again += transform_text(*origin, yaw, *[x[4]] * int(x[4] != 0.0))
+        earlier = f"{abs(x[4]):.2f} s {'earlier' if x[4] > 0 else 'later'}"
         if what == "delayed":
             late = f"the {view.kind.name} come {abs(x[4]):.2f} s {'late' if x[4] > 0 else 'early'}"
-            return f"the measurements taken {x[4]:.2f} s before", f"{late}: clocks differ; {again}"
+            return f"the measurements taken {earlier}", f"{late}: clocks differ; {again}"
         words = (
             f"the truth {'mirrored (y flipped), ' * (mirror < 0)}{f'turned by {yaw:.1f}° and ' * (what != 'shifted')}"
         )
-        words += f"shifted by {_metres(origin)}" + (f", {x[4]:+.2f} s later" if x[4] else "")
+        words += f"shifted by {_metres(origin)}" + (f", and the measurements taken {earlier}" if x[4] else "")
         other = "the fixes" if view.kind.position else "rig.toml"
         fix = "bring both into one frame" if mirror < 0 else again
         return words, f"the truth has another origin or axes than {other}; {fix}"

@@ -25,14 +25,9 @@ from trackwright.trackers.recordings.truth import TruePaths
 MOST_TAGS, MOST_ROWS, LEAST_WINDOWS, LEAST_TURN = 12, 30_000, 20, 0.05
 """Tags whose IMU is checked, and rows of each, the first ones; windows, and root mean square turn, rad, that tell."""
 
-WINDOW_S, RATE_S, GAP_S, HELD_S = 1.0, 0.1, 0.25, 1.0
-"""Times, s: over which gravity turns, and ways and turns are compared; half of that of a turn rate; between two rows
-from where on no window lies across them; and the longest for which a reading of odometry holds."""
-
-FIT, BETTER, SIMPLER, SURE, TILTED, LEAST = 0.5, 0.4, 0.02, 0.7, 0.5, 0.1
-"""Of other axes: least correlation, least gain of it, and the share by which simpler ones are preferred; least share of
-the way along the body; cosine of the angle of the mean specific force to z beyond which an IMU lies on its side; m
-and rad of ways and turns that tell."""
+WINDOW_S, RATE_S, GAP_S, LEAST = 1.0, 0.1, 0.25, 0.1
+"""Times, s: over which gravity turns, and ways and turns are compared; half of that of a turn rate; and between two
+rows from where on no window lies across them. Least way, m, and turn, rad, of odometry that is compared."""
 
 READ_AS = {"x, y, z, w": (3, 0, 1, 2), "z, w, x, y": (1, 2, 3, 0)}
 """How the quaternions of a truth may be written, and where their w, x, y, z stand then."""
@@ -61,28 +56,26 @@ def _by_gravity(rows: ImuRows) -> Iterator[CheckResult]:
     change, middle, turned = change[known], middle[known], turned[known]
     if len(turned) < LEAST_WINDOWS or np.sqrt(np.mean(turned**2)) < LEAST_TURN:
         return
-    fits = []
-    for axes in signed_axes("the turn rates"):
+    every, fits = [*signed_axes("the turn rates")], []
+    for axes in every:
         x = -np.cross(turned @ axes.matrix.T, middle)
         fits.append(float(np.sum(change * x)) / max(float(np.sqrt(np.sum(change**2) * np.sum(x**2))), 1e-12))
-    best, axes = max(
-        zip(fits, signed_axes("the turn rates"), strict=True), key=lambda one: one[0] - SIMPLER * one[1].changes
-    )
-    if best >= FIT and best - fits[0] >= BETTER:
-        also = ", or two axes of both sensors swapped" if np.array_equal(axes.matrix, -np.eye(3)) else ""
-        message = f"turn rates fit the turn of gravity in the acceleration only with {axes.words}{also} "
-        message += (
-            f"(correlation {best:.2f}, {fits[0]:.2f} as they are); correct the axes of the gyro or of the accelerometer"
+    k = max(range(len(every)), key=lambda k: fits[k] - 0.02 * every[k].changes)  # simpler ones first
+    if fits[k] >= 0.5 and fits[k] - fits[0] >= 0.4:
+        also = ", or two axes of both sensors swapped" if np.array_equal(every[k].matrix, -np.eye(3)) else ""
+        fit = f"{every[k].words}{also} (correlation {fits[k]:.2f}, {fits[0]:.2f} as they are)"
+        message = (
+            f"turn rates fit the turn of gravity in the acceleration only with {fit}; correct the axes of the gyro"
         )
-        yield CheckResult("error", "imu", message)
+        yield CheckResult("error", "imu", f"{message} or of the accelerometer")
 
 
 def _mounting(rows: ImuRows) -> Iterator[CheckResult]:
     """A warning where the mean specific force does not point along z, as a level IMU's does."""
     mean = rows.pushed[-1] / (rows.times[-1] - rows.times[0])
     size = np.linalg.norm(mean)
-    if size >= 1.0 and mean[2] <= TILTED * size:
-        how = "upside down" if -mean[2] > TILTED * size else "on its side"
+    if size >= 1.0 and mean[2] <= 0.5 * size:
+        how = "upside down" if -mean[2] > 0.5 * size else "on its side"
         x, y, z = (f"{c + 0.0:.1f}" for c in np.round(mean, 1))
         message = f"mean acceleration is ({x}, {y}, {z}) m/s²: the IMU is {how}, expected z up; turn its axes"
         yield CheckResult("warning", "imu", message)
@@ -111,11 +104,8 @@ def _against_attitude(tag: str, rows: ImuRows, attitude: Attitude) -> Iterator[C
     for axes in [*signed_axes("the turn rates")][1:]:
         of = "mounting" if np.linalg.det(axes.matrix) > 0 else ""
         more.append(Change(axes.words, fix, lambda v, _, m=axes.matrix: v._replace(positions=v.positions @ m.T), of=of))  # type: ignore[misc]
-    fix, small = (
-        "the IMU is mounted at an angle to the body axes of the truth's attitude",
-        lambda _: [1e-3 * np.ones(3)],
-    )
-    large = lambda x: np.linalg.norm(x) > 0.35  # noqa: E731
+    fix = "the IMU is mounted at an angle to the body axes of the truth's attitude"
+    small, large = lambda _: [1e-3 * np.ones(3)], lambda x: np.linalg.norm(x) > 0.35
     more.append(Change("the body axes turned", fix, turned, False, small, large, of="mounting"))
     yield from check_against_truth(view, more=more)
 
@@ -225,7 +215,7 @@ def check_odometry(recording: RecordingFolder) -> Iterator[CheckResult]:
             continue
         begin, end = paths.of_tag(tag)[0][[0, -1]].tolist()
         times, at = rows.times[whole], np.arange(begin, end, half / 2)
-        sums = np.cumsum(values[whole] * np.append(0.0, np.minimum(np.diff(times), HELD_S))[:, None], axis=0)
+        sums = np.cumsum(values[whole] * np.append(0.0, np.minimum(np.diff(times), 1.0))[:, None], axis=0)
         after, before = ([np.interp(at + h, times, s, np.nan, np.nan) for s in sums.T] for h in (half, -half))
         x, every = np.subtract(after, before), np.array([0, len(at)])
         places = [paths.at([tag], every, at + half * k)[0].T for k in range(-2, 3)]
@@ -234,7 +224,7 @@ def check_odometry(recording: RecordingFolder) -> Iterator[CheckResult]:
         heading = np.exp(1j * paths.headings_at([tag], every, at))
         way, turn = steps[1] + steps[2], np.angle((steps[2] + steps[3]) * (steps[0] + steps[1]).conj())
         along = (way * heading.conj()).real
-        signed = bool(np.nansum(np.abs(along)) > SURE * np.nansum(np.abs(way))) and np.isfinite(along).any()
+        signed = bool(np.nansum(np.abs(along)) > 0.7 * np.nansum(np.abs(way))) and np.isfinite(along).any()
         y = [along if signed else np.abs(way), np.where((np.abs(turn) < 1.0) & (np.abs(way) > LEAST), turn, np.nan)]
         for column, measured, true in zip(columns, x if signed else [np.abs(x[0]), x[1]], y, strict=True):
             part = np.isfinite(true) & (np.abs(true) > LEAST)

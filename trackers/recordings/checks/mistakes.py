@@ -14,7 +14,7 @@ import numpy as np
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
-from trackwright.trackers.recordings.checks.changes import LATENCY_S, LEAST_SHIFT_M, Change, changes, fitted
+from trackwright.trackers.recordings.checks.changes import LATENCY_S, LEAST_SHIFT_M, Change, changes, delayed, fitted
 from trackwright.trackers.recordings.checks.compared import LEAST_MOMENTS, Compared, needed
 from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.checks.residuals import typical_delay
@@ -28,8 +28,8 @@ EXPLAINED, NEARLY, BROKEN, FEW_PLACES = 2.0, 0.75, 10.0, 0.25
 """Errors left, in those that need no explanation, and share of rows that a change has to bring below three; ratio of
 the errors of one anchor to the others' from which it is broken; share of sensors whose places may be wrong."""
 
-LEAST_DELAY_S, DELAY_GAIN = 0.1, 2 / 3
-"""A warning of a delay needs so long a one, and errors that fall to this share."""
+LEAST_DELAY_S, DELAY_GAIN, DELAY_GROUPS = 0.1, 2 / 3, 24
+"""A warning of a delay needs so long a one, and errors that fall to this share; looked for in so many groups."""
 
 CLOSING = {"m": (0.15, 0.3, 0.45, 0.08), "rad": (0.06, 0.12, 0.3, 0.03)}
 """Contradictions of one moment: from which on one sensor is looked for; that need an explanation; that may remain with
@@ -57,11 +57,10 @@ def check_against_truth(view: Compared, calibrated: bool = False, more: Sequence
     """
     kind, before, named = view.kind, view.sizes(), None
     limit = kind.sizes("large", before.shape[1])
-    large, sound = np.any(before > limit, axis=1), np.all(~(before > limit), axis=1)
-    unknown = large if large.any() else _upside_down(view, limit)
+    sound = np.all(~(before > limit), axis=1)
+    unknown = ~sound if not sound.all() else _upside_down(view, limit)
     while unknown.any():
-        tried = [*changes(view), *more]
-        tried = [one for one in tried if one.each or named is None]
+        tried = [one for one in (*changes(view), *more) if one.each or named is None]
         best = min(_found(view, tried, before, unknown, sound), key=lambda one: one.cost, default=None)
         if best is None:
             break
@@ -72,21 +71,18 @@ def check_against_truth(view: Compared, calibrated: bool = False, more: Sequence
         elif not _harmless(view, best) and not (calibrated and best.change.of == "offset"):
             level: Level = "warning" if best.change.of == "mounting" else "error"
             yield CheckResult(level, kind.name, _sentence(view, best))
-    if unknown.any() and named is None and not large.all() and kind.sensors:
+    if unknown.any() and named is None and sound.any() and kind.sensors:
         one, others = (float(np.nanmedian((before / limit)[part])) for part in (unknown, sound))
         if one > BROKEN * others and unknown.sum() <= max(FEW_PLACES * len(unknown), 1):
+            typical, rest = (_largest(view, before[part]) for part in (unknown, sound))
+            found = f"errors against truth{_of_groups(view, unknown)} are typically {typical}, of the others {rest}"
             message = (
-                f"errors against truth{_of_groups(view, unknown)} are typically {_largest(view, before[unknown])}, of "
+                "and no change of units, place or ids explains them: wild or blocked readings; measure there again"
             )
-            message += (
-                f"the others {_largest(view, before[sound])}, and no change of units, place or ids explains them: wild "
-            )
-            yield CheckResult(
-                "warning", kind.name, f"{message}or blocked readings; measure there again, or leave them out"
-            )
+            yield CheckResult("warning", kind.name, f"{found}, {message}")
             return
     if named is None and kind.averaged:
-        yield from _late(view, before, typical_delay(view))
+        yield from _late(view, before, typical_delay(view.of_rows(view.group < DELAY_GROUPS)))
 
 
 def _upside_down(view: Compared, limit: np.ndarray) -> np.ndarray:
@@ -118,12 +114,8 @@ def _found(
             of = np.arange(len(large)) == k if change.each else np.ones(len(large), bool)
             gain = _gain(view, change, before[of], sizes[of])
             if gain is not None and change.wrong(x) and _share(other) >= min(NEARLY, 0.9 * usual):
-                groups, gains, numbers[k], after = (
-                    groups | of,
-                    gains + gain * of.sum(),
-                    x,
-                    np.where(of[:, None], sizes, after),
-                )
+                groups, gains, numbers[k] = groups | of, gains + gain * of.sum(), x
+                after[of] = sizes[of]
         if groups.any() and not (change.of == "place" and groups.sum() > max(FEW_PLACES * len(groups), 1)):
             count = sum(np.count_nonzero(x[list(change.free)] if len(change.free) else x) for x in numbers.values())
             yield Found(PENALTY * (1 + count) - gains / len(large), change, groups, numbers, after)
@@ -164,12 +156,10 @@ def _late(view: Compared, before: np.ndarray, delay: float) -> Iterator[CheckRes
     """A warning of a difference of the clocks that is small enough to track, and makes errors larger."""
     # Fixes come late by the delay of the filter that made them.
     if abs(delay) >= LEAST_DELAY_S and not (view.kind.position and delay > 0):
-        clock = next((one for one in changes(view) if one.of == "delayed"), None)
-        x = np.array([0.0, *np.nanmean(view.positions, axis=0), delay])
-        after = view.later(delay).sizes()
+        x, after = np.array([0.0, *np.nanmean(view.positions, axis=0), delay]), view.later(delay).sizes()
         ratio = np.nanmedian(after / np.maximum(before, view.kind.sizes("floor", before.shape[1])))
-        if clock is not None and ratio <= DELAY_GAIN:
-            found = Found(0.0, clock, np.ones(len(view.ids), bool), {0: x}, after)
+        if ratio <= DELAY_GAIN:
+            found = Found(0.0, delayed(view), np.ones(len(view.ids), bool), {0: x}, after)
             yield CheckResult("warning", view.kind.name, _sentence(view, found))
 
 

@@ -92,9 +92,9 @@ def check_readings(recording: RecordingFolder, name: str) -> Iterator[CheckResul
         unit = unit_of(columns[0])
         degrees = f" ({math.degrees(step):.3g}°)" if unit == "rad" else ""
         message = (
-            f"quantised: {', '.join(columns)} in steps of {step:.3g} {unit}{degrees}; their standard deviation is "
+            f"quantised: {', '.join(columns)} in steps of {step:.3g} {unit}{degrees}; standard deviation at least "
         )
-        yield CheckResult("info", name, f"{message}at least step/√12 = {step / math.sqrt(12):.2g} {unit}")
+        yield CheckResult("info", name, f"{message}step/√12 = {step / math.sqrt(12):.2g} {unit}")
     for k, column in enumerate(read.columns):
         if (known := autocorrelation(read, read.errors[:, k])) is not None:
             sigma, interval, time = known

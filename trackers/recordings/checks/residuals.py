@@ -40,7 +40,7 @@ def residuals(view: Compared) -> Residuals:
     if view.kind.difference:
         errors = errors + view.medians(errors)[view.sensors.number[:, 1]]  # of the one anchor alone
     result = np.full((5, len(view.ids), errors.shape[1]), np.nan)
-    for k in range(len(view.ids)):
+    for k in np.unique(view.group):  # of differences, a sensor of other readings may have too few of its own
         part, e = view.of_rows(view.group == k), errors[view.group == k]
         result[0, k] = known_median(e)
         result[1, k] = 1.4826 * known_median(np.abs(e - result[0, k]))
@@ -99,12 +99,8 @@ def check_residuals(view: Compared) -> Iterator[CheckResult]:
     kind, found = view.kind, residuals(view)
     unit, factor, digits = ("°", np.degrees(1.0), 1) if kind.angles else (f" {kind.unit}", 1.0, 2)
     bias, turned = factor * found.bias, found.bias[np.isfinite(found.bias[:, 0]), 0]
-    if (
-        kind.angles
-        and len(turned)
-        and abs(np.sign(turned).sum()) == len(turned)
-        and np.abs(turned).min() >= kind.columns[0].bias
-    ):
+    one_side = kind.angles and len(turned) > 0 and abs(np.sign(turned).sum()) == len(turned)
+    if one_side and np.abs(turned).min() >= kind.columns[0].bias:
         off = f"azimuths of all stations are off by about {np.degrees(np.median(turned)):+.1f}°"
         yield CheckResult("warning", kind.name, f"{off}: turned against rig.toml; correct rotation_wxyz, or calibrate")
     many = len(view.ids) > SHOWN

@@ -128,13 +128,8 @@ def broken(
     for rule in rules if len(rows) else ():
         if of in rule.of.split() and len(found := rows.filter(rule.broken)) > rule.above * len(rows):
             worst = found.sort("dt" if of == "t_s" else SIZE).row(-1, named=True)
-            facts = {
-                "n": len(found),
-                "share": len(found) / len(rows),
-                "typical": rows["x"].abs().median(),
-                "site": site,
-            }
-            message = rule.sentence.format(**worst, **facts, name=str(name), place=place(worst))
+            facts = worst | {"n": len(found), "share": len(found) / len(rows), "typical": rows["x"].abs().median()}
+            message = rule.sentence.format(**facts, site=site, name=name, place=place(worst))
             yield CheckResult(rule.level, table, message)
 
 
@@ -206,8 +201,8 @@ def check_rows(rig: Rig, tables: Tables) -> Results:
         kind = table_kinds()[name]
         ids, values, *_ = kind.layout(table.columns)
         if unknown := [tag for tag in table["tag"].unique(maintain_order=True) if rig.tags and tag not in rig.tags]:
-            what = f"tags that are not in rig.toml: {len(unknown)} ({listed(map(repr, unknown))})"
-            yield CheckResult("warning", name, what)
+            named = f"{len(unknown)} ({listed(map(repr, unknown))})"
+            yield CheckResult("warning", name, f"tags that are not in rig.toml: {named}")
         for label, of, x, bound in _series(kind, table, rig, FAR_M):
             yield from broken(ANOMALIES, name, label, of, table.select(x=x, bound=bound))
         yield from _jumps(name, table["t_s"].sort().to_numpy())
@@ -278,11 +273,8 @@ def check_rates(tables: Tables) -> Results:
         empty = [f"{c} {100 * n / table.height:.3g} %" for c in values if (n := table[c].null_count())]
         yield from [CheckResult("info", name, f"empty cells: {', '.join(empty)}")] if empty else []
         rate = 1 / DT.filter(DT > 0).median()
-        found = (
-            streams(present.select("t_s", *ids), ids)
-            .group_by("stream", *ids, maintain_order=True)
-            .agg(n=pl.len(), rate=rate)
-        )
+        along = streams(present.select("t_s", *ids), ids)
+        found = along.group_by("stream", *ids, maintain_order=True).agg(n=pl.len(), rate=rate)
         if len(found) > STREAMS_SHOWN:
             whole = ", ".join(counted(found[column].n_unique(), column) for column in ids)
             found = found.select(n=C("n").sum(), rate=C("rate").median())

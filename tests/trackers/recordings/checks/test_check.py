@@ -29,15 +29,21 @@ def _has(results: list[CheckResult], level: str, *words: str) -> bool:
     return any(all(word in message for word in words) for message in _messages(results, level))
 
 
-def test_a_good_recording_has_neither_errors_nor_warnings():
-    assert _messages(check(good()), "error", "warning") == []
+def test_a_good_recording_has_neither_errors_nor_warnings_and_rates_by_sensor_and_tag():
+    results = check(good())
+    assert _messages(results, "error", "warning") == []
+    assert {"ranges: anchor A1, tag T1: 50 rows, 10 Hz", "imu: tag T1: 50 rows, 10 Hz"} <= {*_messages(results, "info")}
+    # One sensor may be switched on after another.
+    assert _messages(quick_check(with_columns("bearings", t_s=pl.col("t_s") + 60.0)(good())), "error") == []
+    blind = only(*(name for name in good().tables if name != "truth"))(good())
+    assert any("at the centre of the rig and the height of the tags" in message for message in _messages(check(blind)))
 
 
-def test_rates_are_reported_by_sensor_and_tag():
-    messages = _messages(check(good()), "info")
-    assert "ranges: anchor A1, tag T1: 50 rows, 10 Hz" in messages
-    assert "bearings: station S2, tag T2: 50 rows, 10 Hz" in messages
-    assert "imu: tag T1: 50 rows, 10 Hz" in messages
+def test_a_still_truth_has_no_holes():
+    still = with_columns("truth", x_m=pl.lit(1.0), y_m=pl.lit(1.0), z_m=pl.lit(1.0))(good())
+    ends = _messages(check(with_rows("truth", pl.col("t_s").is_in([0.0, 4.9]))(still)))
+    assert not any("holes" in message for message in ends)
+    assert "truth: covers 100 % of the measurements in time" in ends
 
 
 def test_many_streams_get_one_summary_line():
@@ -64,31 +70,6 @@ def test_an_anomaly_is_a_notice_and_reported(tmp_path: Path, name):
     assert all("\n" not in message for message in _messages(results))
 
 
-def test_tables_made_in_memory_are_checked_for_anomalies_too():
-    results = check(with_rows("ranges", ~pl.col("t_s").is_between(1.0, 3.0))(good()))
-    assert _has(results, "warning", "ranges", "gaps longer than 1 s: 8")
-
-
-def test_one_sensor_may_be_switched_on_after_another():
-    after = with_columns("bearings", t_s=pl.col("t_s") + 60.0)(good())
-    assert _messages(quick_check(after), "error") == []
-
-
-def test_a_table_without_any_value_is_called_so_and_nothing_else():
-    folder = worlds.tdoa(n=1, rows=30).folder()
-    nothing = with_columns("tdoa", range_difference_m=pl.lit(None, pl.Float64))(folder)
-    assert _messages(check(nothing), "error") == ["tdoa: all values are missing"]
-    # What a tracker, a fit or a survey lacks, each says itself.
-    assert quick_check(nothing) == []
-
-
-def test_a_still_truth_has_no_holes():
-    still = with_columns("truth", x_m=pl.lit(1.0), y_m=pl.lit(1.0), z_m=pl.lit(1.0))(good())
-    ends = check(with_rows("truth", pl.col("t_s").is_in([0.0, 4.9]))(still))
-    assert not any("holes" in message for message in _messages(ends))
-    assert "truth: covers 100 % of the measurements in time" in _messages(ends, "info")
-
-
 @pytest.mark.parametrize("numbers", [("ranges", "bearings"), ("ranges",), ("bearings",)])
 def test_the_sensors_of_all_tables_count_for_a_position(numbers):
     one = with_rows("bearings", pl.col("station") == "S1")(with_rows("ranges", pl.col("anchor") == "A1")(good()))
@@ -98,19 +79,9 @@ def test_the_sensors_of_all_tables_count_for_a_position(numbers):
     assert _has(results, "info", "ranges: ", "with the other tables positions are determined") == (len(numbers) > 1)
 
 
-def test_without_truth_dilution_is_evaluated_at_the_centre_of_the_rig():
-    blind = only(*(name for name in good().tables if name != "truth"))(good())
-    assert any("at the centre of the rig and the height of the tags" in message for message in _messages(check(blind)))
-
-
 def test_results_are_formatted_as_aligned_lines_with_the_most_severe_first():
-    text = format_results(
-        [
-            CheckResult("info", "t_s", "from 0 to 9 s"),
-            CheckResult("error", "bearings", "degrees"),
-            CheckResult("warning", "imu", "gaps"),
-        ]
-    )
+    lines = (("info", "t_s", "from 0 to 9 s"), ("error", "bearings", "degrees"), ("warning", "imu", "gaps"))
+    text = format_results([CheckResult(*line) for line in lines])
     assert text.splitlines() == [
         "error    bearings  degrees",
         "warning  imu       gaps",
@@ -138,9 +109,5 @@ def test_odometry_is_sound_where_tags_are_off_the_axle_and_forward_is_not_known(
     of_one = with_rows("truth", pl.col("tag") == "0-2")(folder)
     for made in (folder, of_one):
         flat = replace(made, tables=made.tables | {"truth": made.tables["truth"].drop("qw", "qx", "qy", "qz")})
-        assert (
-            quick_check(made)
-            + quick_check(flat)
-            + quick_check(with_columns("odometry", speed_mps=-pl.col("speed_mps"))(flat))
-            == []
-        )
+        backward = with_columns("odometry", speed_mps=-pl.col("speed_mps"))(flat)
+        assert [line for one in (made, flat, backward) for line in quick_check(one)] == []

@@ -34,13 +34,8 @@ from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 C, T, X, Y, Z = pl.col, *(pl.col(name) for name in ("t_s", "x_m", "y_m", "z_m"))
-XYZ, R, AZ, EL, TD = (
-    pl.col("x_m", "y_m", "z_m"),
-    C("range_m"),
-    C("azimuth_rad"),
-    C("elevation_rad"),
-    C("range_difference_m"),
-)
+XYZ, R, AZ, EL = pl.col("x_m", "y_m", "z_m"), C("range_m"), C("azimuth_rad"), C("elevation_rad")
+TD = C("range_difference_m")
 V, W, A1 = C("speed_mps"), C("yaw_rate_radps"), C("anchor")
 ACCEL, GYRO = ([f"{name}_{axis}_{unit}" for axis in "xyz"] for name, unit in (("accel", "mps2"), ("gyro", "radps")))
 PHASES = [f"phase_{k}_rad" for k in range(1, 9)]
@@ -154,9 +149,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "an anchor that is silent": Case("warning", "anchors never observed: 1 of 4 (A3)", with_rows("ranges", A1 != "A3")),
         "truth of another time": Case("error", "no measurement lies inside", with_columns("truth", T + 40)),
         "truth of a part": Case("warning", "covers 20 %", with_rows("truth", T < 0.95)),
-        "a hole in the truth": Case(
-            "warning", "holes longer than 1 s with motion: 2, the longest 2.2 s after t_s 0.9", with_rows("truth", ~T.is_between(0.95, 3.05)),
-        ),
+        "a hole in the truth": Case("warning", "holes longer than 1 s with motion: 2, the longest 2.2 s after t_s 0.9", with_rows("truth", ~T.is_between(0.95, 3.05))),
         "truth alone": Case("error", "no measurements, only truth", only("truth"), False),
         "one station": Case("info", "bearings: only station S1", with_rows("bearings", C("station") == "S1")),
         "anchors in millimetres": Case(
@@ -231,9 +224,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         ),
         "an anchor behind a wall": Case("warning", "without anchor A3", with_columns("ranges", range_m=pl.when(A1 == "A3").then(R + 1.0).otherwise(R))),
         "an anchor elsewhere": Case("warning", "without anchor A2", together(only("ranges"), _anchor("A2", (6.0, -1.2, 2.4)))),
-        "a turned station": Case(
-            "warning", "without station S2", together(only("bearings"), rotated(lambda q: about_z(q, 40.0), ("S2",))),
-        ),
+        "a turned station": Case("warning", "without station S2", together(only("bearings"), rotated(lambda q: about_z(q, 40.0), ("S2",)))),
     }),
     "phases": (arrays, {
         "the sign": Case("error", "sign of the phases flipped", _phases(lambda phase: -phase)),
@@ -258,9 +249,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "x and y of the gyro swapped": Case("error", "rad/s with x and y of the turn rates swapped", with_columns("imu", *_exchange(GYRO))),
         "x and y of the accelerometer swapped": Case("error", "only with x and y of the turn rates swapped", with_columns("imu", *_exchange(ACCEL))),
         "upside down": Case("warning", "rad/s with the signs of y, z of the turn rates flipped", with_columns("imu", *DOWN)),
-        "turn rates in rpm": Case(
-            "error", "another unit or scale (times 0.105)", with_columns("imu", C(GYRO) * 9.5493),
-        ),
+        "turn rates in rpm": Case("error", "another unit or scale (times 0.105)", with_columns("imu", C(GYRO) * 9.5493)),
         "half the full scale": Case("error", "another unit or scale (times 2)", with_columns("imu", C(GYRO) * 0.5)),
         "clock 0.5 s late": Case("warning", "come 0.50 s late", with_columns("imu", T + 0.5)),
         "clock 2 s early": Case("error", "come 2.00 s early", with_columns("imu", T - 2.0)),
@@ -297,9 +286,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "seconds": Case("error", "looks like seconds", with_columns("tdoa", TD / 299792458)),
         "halved": Case("error", "halved distances", with_columns("tdoa", TD / 2)),
         "a late anchor": Case("error", "of anchor A5 (+1.5", with_columns("tdoa", TD + _late(A5=1.5))),
-        "places in millimetres": Case(
-            "error", "the positions of the anchors multiplied by 0.001", with_anchors(lambda a: {k: 1000 * v for k, v in a.items()}),
-        ),
+        "places in millimetres": Case("error", "the positions of the anchors multiplied by 0.001", with_anchors(lambda a: {k: 1000 * v for k, v in a.items()})),
         "z of the places flipped": Case("error", "the sign of z of the truth flipped", with_anchors(lambda a: {k: v * [1, 1, -1] for k, v in a.items()})),
         "x and y of the places": Case("error", "x and y of the truth swapped", with_anchors(lambda a: {k: v[[1, 0, 2]] for k, v in a.items()})),
         "truth of another origin": Case("error", "the truth shifted by (2.00", with_columns("truth", X - 2)),
@@ -309,9 +296,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "ids exchanged": Case("error", "anchors A2 and A7 swapped", _ids("A2", "A7")),
         "places exchanged": Case("error", "anchors A3 and A4 swapped", _exchanged("A3", "A4")),
         "nanoseconds": Case("error", "nanoseconds or feet", with_columns("tdoa", TD / 0.299792458)),
-        "an anchor elsewhere": Case(
-            "warning", "without anchor A6: what rig.toml says of it is wrong", with_anchors(lambda a: {"A6": a["A6"] + [1.5, 0.0, 0.0]}),
-        ),
+        "an anchor elsewhere": Case("warning", "without anchor A6: what rig.toml says of it is wrong", with_anchors(lambda a: {"A6": a["A6"] + [1.5, 0.0, 0.0]})),
         "rounded": Case("warning", "equal the previous row of the same tag and pair of anchors", with_columns("tdoa", TD.round(0)), False),
         "no value": Case("error", "tdoa: all values are missing", with_columns("tdoa", pl.lit(None, pl.Float64).alias("range_difference_m")), False),
     }),
