@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import polars as pl
 
@@ -50,6 +51,7 @@ from trackwright.trackers.fusion.tracker import Drift, FusedMotion, FusedState
 from trackwright.trackers.line.fixes import FloorFixes
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
 from trackwright.trackers.line.tracker import line_grid_tracker, line_tracker
+from trackwright.trackers.linear import linear
 from trackwright.trackers.mhk.tracker import STILL, mhk_tracker
 from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases
 from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
@@ -358,10 +360,32 @@ def _made_cases() -> Iterator[Case]:
     two = {FIXES: FixSensor(0.1, 0.3), RANGES: RangeSensor(1, len(CORNERS), 0.1, 2.0, 4.0)}
     both = partial(replace, fix_tracker(), sensors=two)
     yield made("fixes and ranges", "uwb", both, add=_with_a_fix, **in_space)
+    yield made("matrices", "fix-kf", _of_matrices, **in_space)
     single = partial(replace, inertial_tracker(planar=True), filter=ExtendedKalman())
     # On the floor, without biases of ranges.
     idle = ("start.sigma_tilt", "start.sigma_height", "start.sigma_bias", "motion.noise.sigma_range_walk")
     yield made("inertial with a known yaw", "uwb-imu", single, idle=idle)
+
+
+def _transition(dt: Any) -> Any:
+    return jnp.eye(6) + dt * jnp.eye(6, k=3)
+
+
+def _driven(dt: Any, q: Any) -> Any:
+    return q**2 * (dt * jnp.diag(jnp.array([0.0, 0.0, 0.0, 1.0, 1.0, 0.1])) + dt**3 / 12 * jnp.eye(6))
+
+
+def _of_matrices() -> Tracker:
+    """Fixes in space by matrices of a user."""
+    return linear(
+        _transition,
+        {FIXES: np.eye(3, 6)},
+        (_driven, {"q": 1.0}),
+        {FIXES: np.diag([0.01, 0.02, 0.09])},
+        x0=[2.0, 2.0, 1.0, 0.0, 0.0, 0.0],
+        P0=4.0 * np.eye(6),
+        state={"position": 3, "velocity": 3},
+    )
 
 
 def _on_line(make: Any, motion: Any, closed: bool = False) -> Callable[[], AbstractTracker]:
@@ -495,6 +519,7 @@ MOTIONS = {
     "halting, at rest": MotionCase(HaltingMotion(LINE, 0.1), HaltingState(4.0, 0.0, 1.0)),
     "halting anywhere": MotionCase(HaltingMotion(LINE, 0.1, travel=20.0), HaltingState(2.0, 0.5, 0.0)),
     **dict(_inertial_motions()),
+    "matrices": MotionCase(_of_matrices().motion, Kinematic(Vector(1.0, 2.0, 1.0), Vector(0.7, -0.4, 0.1))),
 }
 
 _S1 = RIG.stations["S1"]
@@ -533,4 +558,10 @@ SENSORS = {
     "plane waves": SensorCase(PlanePhases(_S1, 0.3), BEAM),
     "plane waves in the plane of the array": SensorCase(InPlanePhases(_S1, 0.3), FLAT_BEAM),
     "spherical waves": SensorCase(SphericalPhases(_S1, 0.3), MOVING),
+    "matrices": SensorCase(
+        _of_matrices().sensors[FIXES],
+        Kinematic(Vector(1.0, 2.0, 1.0), Vector(0.7, -0.4, 0.1)),
+        None,
+        (0.01, 0.02, 0.03),
+    ),
 }

@@ -114,8 +114,8 @@ def test_bodies_of_a_rig_are_read_as_written_and_contradictions_refused(tmp_path
     text = rig_text(rig)
     for old, new, expected in (
         ('left", "right"]', 'left", "rear"]', "names 'rear', which has no offset_m"),
-        ('tags = ["front", "left", "right"]', 'tags = ["front"]', "at least two tags"),
-        ("[bodies", '[bodies.cart]\ntags = ["left", "right"]\n[bodies', "is on another body"),
+        ('tags = ["front", "left", "right"]', 'tags = ["front"]', "expected at least 2 items"),
+        ("[bodies", '[bodies.cart]\ntags = ["left", "right"]\n[bodies', "names 'left' again"),
     ):
         assert old in text
         path.write_text(text.replace(old, new))
