@@ -9,63 +9,19 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from trackwright.trackers.core.data.recording import Batch, Columns
+from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.covariance import FEW
 from trackwright.trackers.core.run.chunks import CHUNK, piece_size, pieces
-from trackwright.trackers.recordings.tracks import by_length
-from trackwright.trackers.recordings.trajectories import Trajectory
 
 
-@dataclass(frozen=True, eq=False)
-class Unstacked:
-    """A batch of trajectories, padded to `steps` rows, that is stacked chunk by chunk, with the bits of the full batch.
-
-    Their recordings have ids, as folders' do.
-    """
-
-    trajectories: Sequence[Trajectory]
-    steps: int
-
-    @property
-    def size(self) -> int:
-        """The number of trajectories."""
-        return len(self.trajectories)
-
-    def columns(self, start: int, stop: int) -> Batch:
-        """The trajectories start … stop − 1, padded with invalid ones beyond the end, as `Batch.columns`."""
-        recordings = [trajectory.recording for trajectory in self.trajectories[start:stop]]
-        return Columns.of(recordings).batch(self.steps).columns(0, stop - start)
-
-    def pieces(self, chunk: int, most: int) -> Iterator[Batch]:
-        """As `trackers.core.run.chunks.pieces`."""
-        size = piece_size(self.size, self.steps, chunk, most)
-        return (self.columns(start, start + size) for start in range(0, self.size, size))
-
-
-AnyBatch = Batch | Unstacked
-
-
-def unstacked(trajectories: Sequence[Trajectory]) -> list[Unstacked]:
-    """The trajectories in the batches of `trackers.recordings.tracks.batches`."""
-    groups = by_length(np.array([len(trajectory.recording) for trajectory in trajectories]))
-    return [Unstacked([trajectories[k] for k in numbers], steps) for numbers, steps in groups]
-
-
-def padded_size(batch: AnyBatch, chunk: int, most: int) -> int:
+def padded_size(batch: Batch, chunk: int, most: int) -> int:
     """The trajectories of all pieces of a batch, with padding."""
-    size = piece_size(batch.size, steps_of(batch), chunk, most)
+    size = piece_size(batch.size, len(batch.dt), chunk, most)
     return size * -(-batch.size // size)
 
 
-def steps_of(batch: AnyBatch) -> int:
-    """The rows of a batch, with padding."""
-    return batch.steps if isinstance(batch, Unstacked) else len(batch.dt)
-
-
-def lengths_of(batch: AnyBatch) -> Int[np.ndarray, " B"]:
+def lengths_of(batch: Batch) -> Int[np.ndarray, " B"]:
     """The rows of each trajectory."""
-    if isinstance(batch, Unstacked):
-        return np.array([len(trajectory.recording) for trajectory in batch.trajectories])
     return np.asarray(batch.valid).sum(axis=0)
 
 
@@ -73,16 +29,13 @@ def lengths_of(batch: AnyBatch) -> Int[np.ndarray, " B"]:
 class Pieces:
     """The `pieces` of all batches, made anew whenever they are looked through."""
 
-    batches: Sequence[AnyBatch]
+    batches: Sequence[Batch]
     chunk: int = CHUNK
     most: int = FEW
 
     def __iter__(self) -> Iterator[Batch]:
         for batch in self.batches:
-            if isinstance(batch, Unstacked):
-                yield from batch.pieces(self.chunk, self.most)
-            else:
-                yield from pieces(batch, self.chunk, self.most)
+            yield from pieces(batch, self.chunk, self.most)
 
 
 Weigh = Literal["recordings", "rows"]
@@ -90,7 +43,7 @@ Weigh = Literal["recordings", "rows"]
 
 
 def trajectory_weights(
-    batches: Sequence[AnyBatch], recordings: Sequence[Sequence[str]], weigh: Weigh, needs_truth: bool
+    batches: Sequence[Batch], recordings: Sequence[Sequence[str]], weigh: Weigh, needs_truth: bool
 ) -> list[Float[np.ndarray, " B"]]:
     """The weight of each trajectory of the batches, with which the rows of every recording add up to the same number.
 
@@ -120,10 +73,8 @@ def by_chunks(weights: Sequence[Float[np.ndarray, " B"]] | None, sizes: Sequence
     return np.concatenate([np.append(x, np.ones(size - len(x))) for x, size in zip(of_batches, sizes, strict=True)])
 
 
-def _rows(batch: AnyBatch, needs_truth: bool) -> Float[np.ndarray, " B"]:
+def _rows(batch: Batch, needs_truth: bool) -> Float[np.ndarray, " B"]:
     """The number of rows of each trajectory that an objective counts."""
-    if isinstance(batch, Unstacked):
-        return np.array([_rows(batch.columns(k, k + 1), needs_truth)[0] for k in range(batch.size)])
     counted = np.asarray(batch.valid)
     if needs_truth and batch.truth:
         counted = counted & np.any([np.asarray(known) for _, known in batch.truth.values()], axis=0)

@@ -11,10 +11,11 @@ from typing import Any
 import jax
 import numpy as np
 
+from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write, config_hash
 from trackwright.trackers.recordings.input_file import read_arrays
-from trackwright.tuning.batches import AnyBatch, Pieces
+from trackwright.tuning.batches import Pieces
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.optimisers import AbstractOptimiser
 
@@ -46,7 +47,7 @@ def from_arrays(optimiser: AbstractOptimiser, arrays: Sequence[np.ndarray]) -> F
     return FitState(*jax.tree_util.tree_unflatten(structure, list(arrays)))
 
 
-def fingerprint(config: Mapping[str, Any], batches: Sequence[AnyBatch], start: np.ndarray) -> str:
+def fingerprint(config: Mapping[str, Any], batches: Sequence[Batch], start: np.ndarray) -> str:
     """A hash of the options of a fit, of all numbers of its recordings, and of its starting values."""
     digest = hashlib.sha256(f"{FORMAT} {config_hash(config)}".encode())
     for leaf in chain([start], *map(jax.tree_util.tree_leaves, Pieces(batches))):

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -17,12 +16,12 @@ from trackwright.trackers.core.data.recording import Batch, Recording, stack
 from trackwright.trackers.core.errors import UnusableInput, require
 from trackwright.trackers.core.run.requirements import check_input
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks import batches
-from trackwright.trackers.recordings.trajectories import Trajectory, mapped, segments, with_floor_truth
-from trackwright.tuning.batches import AnyBatch, Unstacked, Weigh, trajectory_weights, unstacked
+from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
+from trackwright.tuning.batches import Weigh, trajectory_weights
 from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.objectives import (
     AbstractObjective,
@@ -46,8 +45,7 @@ class FitData:
     """The trajectories of recording folders that a tracker is fitted to, those held out, and the objective.
 
     `named`: the objective's name. `planar`: whether only the position over the floor is estimated. `dimensions`: the
-    components of a position that the objective judges. `unused`: recordings without the truth that it needs. `stacked`:
-    whether all rows are stacked at once, not piece by piece where they are needed.
+    components of a position that the objective judges. `unused`: recordings without the truth that it needs.
     """
 
     tracker: AbstractTracker
@@ -59,35 +57,30 @@ class FitData:
     held_out: list[Trajectory]
     weigh: Weigh
     unused: tuple[str, ...] = ()
-    stacked: bool = True
 
-    def rows(self, held_out: bool = False) -> list[Batch]:
+    def batches(self, held_out: bool = False) -> list[Batch]:
         """The rows of the trajectories to fit to, or of those held out, in batches."""
-        return self._rows_held_out if held_out else self._rows
-
-    def batches(self, held_out: bool = False) -> Sequence[AnyBatch]:
-        """The batches of `rows` as a fit takes them, `stacked` or not."""
-        return self.rows(held_out) if self.stacked else self._unstacked(held_out)
+        return [batch for _, batch in self._groups(held_out)]
 
     def weights(self, held_out: bool = False) -> list[Float[np.ndarray, " B"]]:
-        """The weight of each trajectory of `rows`."""
+        """The weight of each trajectory of `batches`."""
         names = self.recordings(held_out)
         return trajectory_weights(self.batches(held_out), names, self.weigh, self.objective.needs_truth)
 
     def recordings(self, held_out: bool = False) -> list[list[str]]:
-        """The name of the recording of each trajectory of `rows`."""
-        return [[t.folder.name for t in batch.trajectories] for batch in self._unstacked(held_out)]
+        """The name of the recording of each trajectory of `batches`."""
+        return [[folder.name for folder in group.folders] for group, _ in self._groups(held_out)]
 
-    def _unstacked(self, held_out: bool) -> list[Unstacked]:
-        return unstacked(self.held_out if held_out else self.training)
-
-    @cached_property
-    def _rows(self) -> list[Batch]:
-        return [batch for _, batch in batches(self.training)]
+    def _groups(self, held_out: bool) -> list[tuple[Trajectories, Batch]]:
+        return self._apart if held_out else self._fitted
 
     @cached_property
-    def _rows_held_out(self) -> list[Batch]:
-        return [batch for _, batch in batches(self.held_out)] if self.held_out else []
+    def _fitted(self) -> list[tuple[Trajectories, Batch]]:
+        return batches(self.training)
+
+    @cached_property
+    def _apart(self) -> list[tuple[Trajectories, Batch]]:
+        return batches(self.held_out) if self.held_out else []
 
 
 def fit_data(
@@ -108,38 +101,6 @@ def fit_data(
     dimensions = dimensions or judged_dimensions(batch, objective)
     segmented = replace(batch, trajectories=fit_segments(batch, segment_rows, dimensions))
     return segments_data(segmented, objective, {folder.name for folder in held_out}, dimensions, weigh)
-
-
-def data_in_turn(
-    named: NamedTracker,
-    folders: Iterable[RecordingFolder],
-    count: int,
-    place: Path,
-    objective: str | None,
-    segment_rows: int = SEGMENT_ROWS,
-    dimensions: int | None = None,
-    weigh: Weigh = "recordings",
-) -> FitData:
-    """As `fit_data` of the first `count` recordings, the others held out, which are in memory one at a time.
-
-    The rows are in files in the folder `place`. Raises UnusableInput where the recordings need several trackers, too.
-    """
-    names, trajectories = list[str](), list[Trajectory]()
-    batch: TrackerBatch | None = None
-
-    def each() -> Iterator[RecordingFolder]:
-        for folder in folders:
-            names.append(folder.name)
-            yield folder
-
-    for batch in named.batch_by_batch(each()):
-        dimensions = dimensions or judged_dimensions(batch, objective)
-        trajectories += mapped(fit_segments(batch, segment_rows, dimensions), place / f"rows-{len(names)}")
-    refuse_same_names(names)
-    if batch is None:
-        raise UnusableInput(f"tracker '{named.name}': no trajectory in the recordings; expected one tag at least")
-    joined = replace(batch, tracker=named.tracker, trajectories=trajectories)
-    return segments_data(joined, objective, set(names[count:]), dimensions or 2, weigh, stacked=False)
 
 
 def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | Loss | None) -> int:
@@ -177,9 +138,8 @@ def segments_data(
     apart: set[str],
     dimensions: int,
     weigh: Weigh,
-    stacked: bool = True,
 ) -> FitData:
-    """As `fit_data`, of `fit_segments`; `apart`: names of the recordings not fitted to; `stacked`: see `FitData`."""
+    """As `fit_data`, of `fit_segments`; `apart`: names of the recordings not fitted to."""
     trajectories, quantity, floor = list(batch.trajectories), _quantity(batch), _over_floor(batch, dimensions)
     known = [bool(trajectory.recording.truth[quantity][1].any()) for trajectory in trajectories]
     if objective is None:
@@ -208,7 +168,7 @@ def segments_data(
             raise UnusableInput(f"objective {name} needs truth, and {where} have none; use the objective nll")
     used = {trajectory.folder.name for part in parts for trajectory in part}
     unused = tuple(dict.fromkeys(t.folder.name for t in trajectories if t.folder.name not in used))
-    return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, weigh, unused, stacked)
+    return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, weigh, unused)
 
 
 def _quantity(batch: TrackerBatch) -> str:
@@ -266,8 +226,8 @@ class FitArrays(NamedTuple):
     """
 
     tracker: AbstractTracker
-    training: Sequence[AnyBatch]
-    held_out: Sequence[AnyBatch]
+    training: Sequence[Batch]
+    held_out: Sequence[Batch]
     objective: AbstractObjective
     weights: list[Float[np.ndarray, " B"]]
     held_out_weights: list[Float[np.ndarray, " B"]]

@@ -36,7 +36,6 @@ from trackwright.tuning.parameters import (
     tuned_by_default,
     with_parameters,
 )
-from trackwright.tuning.parts import Keep, LocalParts
 from trackwright.tuning.priors import Kind, Prior
 from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import Uncertainty, evaluations, optimum, uncertainty_at, unidentifiable
@@ -174,7 +173,6 @@ class Place:
     step, `stage` with the name of each stage.
     """
 
-    keep: Keep = LocalParts
     resume: Sequence[np.ndarray] | None = None
     report: Callable[[FitState], object] = lambda state: None
     stage: Callable[[str], object] = lambda name: None
@@ -213,14 +211,14 @@ def fit(
     tune = tuned_by_default(model, objective.needs_truth) if tune is None else tune
     parameters = select_parameters(model, tune, frozen)
     model = known(model, [name for parameter in parameters for name in parameter.names])
-    problem = Problem(model, batches, objective, parameters, chunk, data.weights, on.keep)
+    problem = Problem(model, batches, objective, parameters, chunk, data.weights)
     names = data.recordings_of(problem)
     if objective.is_likelihood and not problem.stochastic:
         problem.discount = discount(problem, flatten(parameters), len({*names, ""}) - 1)
         problem.prior = Prior.of(parameters, options.prior)
     scoring = None
     if apart:
-        scoring = Problem(model, apart, objective, parameters, chunk, data.held_out_weights, on.keep)
+        scoring = Problem(model, apart, objective, parameters, chunk, data.held_out_weights)
     readings = reading_grids(model, Pieces(batches))
     if data.folders:
         # Readings of folders have the variance of their rounding.

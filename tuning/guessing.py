@@ -24,7 +24,7 @@ from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.tuning.batches import AnyBatch, lengths_of, steps_of
+from trackwright.tuning.batches import lengths_of
 from trackwright.tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
 from trackwright.tuning.parameters import Parameter, flatten, split, with_parameters
 from trackwright.tuning.problem import Problem, has_particles
@@ -78,7 +78,7 @@ class LikelihoodWithLossPenalty(AbstractObjective):
 
 
 def first_guess(
-    tracker: AbstractTracker, batches: Batch | Sequence[AnyBatch], frozen: Sequence[str] = ()
+    tracker: AbstractTracker, batches: Batch | Sequence[Batch], frozen: Sequence[str] = ()
 ) -> AbstractTracker:
     """The tracker with noise levels of the right order of magnitude for the batches.
 
@@ -123,9 +123,9 @@ def noise_levels(tracker: AbstractTracker, frozen: Sequence[str] = ()) -> list[P
     ]
 
 
-def sample_segments(batches: Sequence[AnyBatch], count: int) -> Batch:
+def sample_segments(batches: Sequence[Batch], count: int) -> Batch:
     """At most `count` segments of at most `ROWS` rows, evenly spread over all rows of all recordings."""
-    rows = min(ROWS, max(steps_of(batch) for batch in batches))
+    rows = min(ROWS, max(len(batch.dt) for batch in batches))
     cuts = [
         (b, trajectory, start)
         for b, batch in enumerate(batches)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import polars as pl
 
-from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fitting import FitResult
@@ -96,7 +93,7 @@ def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float
     `left_out_values`, and where the objective needs no truth.
     """
     uncertainty, quantity = _model(result), next(iter(data.training[0].recording.truth))
-    if uncertainty is None or not (data.objective.needs_truth and data.stacked):
+    if uncertainty is None or not data.objective.needs_truth:
         return []
     known = [t.recording.times[t.recording.truth[quantity][1]] for t in data.training]
     edges = np.quantile(np.concatenate(known), np.linspace(0, 1, BLOCKS + 1))
@@ -117,47 +114,3 @@ def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float
         vector = np.clip(refitted.vectors[0], *result.limits)
         blocks.append((start, stop, by_label(result.parameters, vector)))
     return blocks
-
-
-def with_fitted(named: NamedTracker, result: FitResult, values: Mapping[str, np.ndarray] | None = None) -> NamedTracker:
-    """The tracker with the fitted values, or with others by label."""
-    numbers = result.values if values is None else values
-    by_name = {name: numbers[p.label] for p in result.parameters for name in p.names}
-    return named.with_values(by_name, "the fit")
-
-
-def left_out_estimates(
-    result: FitResult, data: FitData, named: NamedTracker, folders: Sequence[RecordingFolder], before: pl.DataFrame
-) -> tuple[pl.DataFrame, str]:
-    """The estimates of recordings with values fitted without them, and how, in words; empty where the fit has seen
-    their truth, whose estimates have the fitted values.
-
-    `before`: their estimates before the fit, by whose rows blocks of time are cut: a fitted latency moves times.
-    """
-    parts, words = list[tuple[Mapping[str, np.ndarray], pl.Expr]](), ", whose truth the fit has not seen"
-    if data.held_out:
-        pass
-    # All are tracked with the values of each fold, by the one program that is compiled for them.
-    elif left_out := left_out_values(result):
-        words = ", each with values fitted to the others"
-        values_of = {folder.name: left_out.get(folder.name, result.values) for folder in folders}
-        for values in {id(values): values for values in values_of.values()}.values():
-            names = [name for name, other in values_of.items() if other is values]
-            parts.append((values, pl.col("recording").is_in(names)))
-    elif blocks := left_out_blocks(result, data):
-        words = f", each of {len(blocks)} blocks of time with values fitted without its truth"
-        starts = [-np.inf, *(start for start, _, _ in blocks[1:]), np.inf]
-        for (start, stop), (_, _, values) in zip(pairwise(starts), blocks, strict=True):
-            parts.append((values, pl.col("t_s").is_between(start, stop, "left")))
-    elif data.objective.needs_truth:
-        words = ""
-    if not parts:
-        return with_fitted(named, result).run(folders).table, words
-    tables = [
-        with_fitted(named, result, values)
-        .run(folders)
-        .table.with_row_index("row")
-        .filter(before.select(own).to_series())
-        for values, own in parts
-    ]
-    return pl.concat(tables).sort("row").drop("row"), words

@@ -19,13 +19,11 @@ from trackwright.trackers.core.model.tunable import (
     AbstractGiven,
     AbstractTunable,
     matching,
-    meanings,
     replaced,
     role_of,
     tunables,
 )
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.reading_grids import ReadingGrid
 
 Tree = TypeVar("Tree")
@@ -276,25 +274,3 @@ def grid_of(grids: Sequence[ReadingGrid], parameter: Parameter) -> ReadingGrid |
     """The readings whose noise level a parameter is, the finest of several tied ones; None for other parameters."""
     matches = [grid for grid in grids if any(grid.limits(name, parameter.example) for name in parameter.names)]
     return min(matches, key=lambda grid: grid.lowest if math.isfinite(grid.lowest) else 0.0, default=None)
-
-
-def described(named: NamedTracker) -> list[dict[str, Any]]:
-    """What is known of each tunable of a tracker by name: value, also as text, unit, bounds, meaning.
-
-    `fitted_by_default`: whether it is one of `noise_levels`.
-    """
-    sentences = meanings(named.tracker)
-    try:
-        fitted = tuple(noise_levels(named.tracker))
-    except UnusableInput:
-        fitted = ()
-    rows = []
-    for name, node in named.tunables.items():
-        values = np.asarray(node.value, float)
-        text = ", ".join(f"{x:.4g}" for x in values.ravel())
-        if values.size > 3:
-            ends = " to ".join(dict.fromkeys(f"{x:.4g}" for x in (values.min(), values.max())))
-            text = f"{' x '.join(map(str, values.shape))}: {ends}"
-        about = {"name": name, "value": values.tolist(), "text": text, "unit": node.unit, "bounds": node.bounds}
-        rows.append(about | {"fitted_by_default": name in fitted, "meaning": sentences[name]})
-    return rows

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -158,29 +157,18 @@ class Computation(NamedTuple):
     realisation: int = 0
 
 
-class Parts(ABC):
-    """The chunks of a problem, wherever they are; `rows`: of each chunk, the rows of each trajectory (B,)."""
+class Parts:
+    """The chunks of a problem, on the devices of this process; `rows`: of each, the rows of each trajectory (B,).
 
-    rows: list[Int[np.ndarray, " B"]]
-
-    @abstractmethod
-    def compute(self, computation: Computation) -> list[list[Any]]:
-        """The results of all chunks, in their order."""
-
-
-Keep = Callable[[Point, Iterable[Batch]], Parts]
-"""Takes a point, whose vectors do not matter, and the chunks of a problem to where they are computed."""
-
-
-class LocalParts(Parts):
-    """The chunks of a problem in this process, on its devices."""
+    `point`: one whose vectors do not matter.
+    """
 
     def __init__(self, point: Point, pieces: Iterable[Batch]) -> None:
         self.point, self.chunks = point, list(placed(pieces))
-        self.rows = [lengths_of(chunk) for chunk in self.chunks]
+        self.rows: list[Int[np.ndarray, " B"]] = [lengths_of(chunk) for chunk in self.chunks]
 
     def compute(self, computation: Computation) -> list[list[Any]]:
-        """As `Parts`."""
+        """The results of all chunks, in their order."""
         return on_chunks(self.point, self.chunks, computation)
 
 
@@ -193,12 +181,6 @@ def on_chunks(point: Point, chunks: Sequence[Batch], computation: Computation) -
     run = rows_of_runs if computation.function is plain_rows else partial(run_chunks, computation.function)
     results = iter(run([(point, chunk) for chunk in chunks for point in points]))
     return [[computation.reduced(next(results), chunk) for _ in points] for chunk in chunks]
-
-
-def on_chunk(point: Point, piece: Batch, computation: Computation) -> list[Any]:
-    """The results of one chunk, which another process holds with its point: block by block, in one thread."""
-    (chunk,) = placed([piece])
-    return [on_chunks(point, [chunk], computation._replace(blocks=[block]))[0][0] for block in computation.blocks]
 
 
 def fresh_keys(part: Batch, realisation: int) -> Batch:

@@ -17,14 +17,13 @@ from trackwright.trackers.core.filters.particle.filter import AbstractParticleFi
 from trackwright.trackers.core.model.covariance import few
 from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, most_few
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.tuning.batches import AnyBatch, Pieces, by_chunks, padded_size
+from trackwright.tuning.batches import Pieces, by_chunks, padded_size
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, flatten
 from trackwright.tuning.parts import (
     BESIDE,
     Computation,
-    Keep,
-    LocalParts,
+    Parts,
     Point,
     WithDerivatives,
     plain_rows,
@@ -96,12 +95,11 @@ class Problem:
     def __init__(
         self,
         tracker: AbstractTracker,
-        batches: Sequence[AnyBatch],
+        batches: Sequence[Batch],
         objective: AbstractObjective,
         parameters: Sequence[Parameter],
         chunk: int = CHUNK,
         weights: Sequence[Float[np.ndarray, " B"]] | None = None,
-        keep: Keep = LocalParts,
     ):
         self.objective, self.parameters = objective, list(parameters)
         self.prior, self.discount = Prior.of(self.parameters, "flat"), 1.0
@@ -110,7 +108,7 @@ class Problem:
         start = jnp.asarray(flatten(self.parameters)[None], dtype)
         self.start = Point(self.tracker, self.objective, self.parameters, start)
         most = most_few(self.tracker, gradient=True)
-        self.parts = keep(self.start, Pieces(batches, chunk, most))
+        self.parts = Parts(self.start, Pieces(batches, chunk, most))
         self.sizes = [padded_size(batch, chunk, most) for batch in batches]
         self.weights = by_chunks(weights, self.sizes)
         self.valid = np.concatenate(self.parts.rows) > 0

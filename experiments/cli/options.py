@@ -246,7 +246,6 @@ class TuneOptions(WithNumbers):
         optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for particles.
         steps: maximum number of steps per start.
         resume: continue from the checkpoint in --out, with bit-identical results.
-        cluster: hold the rows on the workers of a Dask cluster, tcp://HOST:8786 or local:4, which all see --out.
         piece_rows: rows of the segments into which long recordings are cut.
         check: exit code 1 where the verdict is worse: the log density of true positions of left-out recordings fell.
         figures: page, report.html; png or pdf, also the chart of the objective as a file; or none.
@@ -266,7 +265,6 @@ class TuneOptions(WithNumbers):
     optimiser: Literal["auto", "lbfgs", "adam"] = "auto"
     steps: Least1 = 60
     resume: bool = False
-    cluster: Address | None = None
     piece_rows: Annotated[int, Parameter(validator=_number(10))] = 8000
     check: bool = False
     figures: Figures = "page"

@@ -105,8 +105,7 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
     with running("tune", options.json) as run:
         run.begin("reading")
         paths = (*recordings, *options.held_out)
-        # For a cluster recordings are read one by one, of which the first says what they are.
-        folders = prepared(paths if options.cluster is None else paths[:1], options.used)
+        folders = prepared(paths, options.used)
         run.begin("preparing")
         keep_programs()
         # jax takes a second to import, which a refused recording need not wait for.

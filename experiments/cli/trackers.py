@@ -44,9 +44,8 @@ def trackers(tracker: Tracker | None = None, folder: Path | None = None, /, *, j
     run_files(tracker)
     folders = [] if folder is None else prepared((folder,), Readings(), check=False)
     # jax takes a second to import, which the help and a refused recording need not wait for.
-    from trackwright.sim.examples import example_for
+    from trackwright.experiments.cli.examples import example_for
     from trackwright.trackers.catalogue import build, spec_of
-    from trackwright.tuning.parameters import described
 
     recording = folders[0] if folders else example_for(spec_of(tracker))
     if recording is None:
@@ -77,3 +76,31 @@ def _table(tunables: list[dict[str, Any]], width: int) -> str:
         if following["meaning"] != one["meaning"] and one["meaning"]:
             text += textwrap.wrap(one["meaning"], width, initial_indent="    ", subsequent_indent="    ")
     return "\n".join(text) + "\n"
+
+
+def described(named: Any) -> list[dict[str, Any]]:
+    """What is known of each tunable of a tracker by name: value, also as text, unit, bounds, meaning.
+
+    `fitted_by_default`: whether it is one of `noise_levels`.
+    """
+    # jax takes a second to import.
+    import numpy as np
+
+    from trackwright.trackers.core.model.tunable import meanings
+    from trackwright.tuning.parameters import noise_levels
+
+    sentences = meanings(named.tracker)
+    try:
+        fitted = tuple(noise_levels(named.tracker))
+    except UnusableInput:
+        fitted = ()
+    rows = []
+    for name, node in named.tunables.items():
+        values = np.asarray(node.value, float)
+        text = ", ".join(f"{x:.4g}" for x in values.ravel())
+        if values.size > 3:
+            ends = " to ".join(dict.fromkeys(f"{x:.4g}" for x in (values.min(), values.max())))
+            text = f"{' x '.join(map(str, values.shape))}: {ends}"
+        about = {"name": name, "value": values.tolist(), "text": text, "unit": node.unit, "bounds": node.bounds}
+        rows.append(about | {"fitted_by_default": name in fitted, "meaning": sentences[name]})
+    return rows

@@ -5,20 +5,18 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 import trackwright as tw
 from trackwright.experiments.cli import console
-from trackwright.experiments.cli.console import Run, notices, output_folder, prepared, ready, write_manifest
+from trackwright.experiments.cli.console import Run, notices, output_folder, write_manifest
 from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, config, file_format
+from trackwright.experiments.jobs.fits import checked_bounds, cross_fitted, kept_fit, left_out_estimates, with_fitted
 from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart, sweep_plot
 from trackwright.experiments.pages.reports import before_after as changes
 from trackwright.experiments.pages.reports import tuning as pages
@@ -29,38 +27,29 @@ from trackwright.trackers.catalogue import fitting, spec_of
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.evaluation.cautions import mirror_cautions
 from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.folder import refuse_repeated
 from trackwright.trackers.recordings.input_file import identity
 from trackwright.tuning import parameters as numbers
-from trackwright.tuning.calibrating import cross_fitted
-from trackwright.tuning.data import FitData, data_in_turn, fit_data
+from trackwright.tuning.data import FitData, fit_data
 from trackwright.tuning.fitting import Place
 from trackwright.tuning.identifiability import cautions, identifiability_issues
-from trackwright.tuning.intervals import Interval, intervals_of, left_out_estimates, with_fitted, without_intervals
-from trackwright.tuning.kept_fit import checked_bounds, kept_fit
+from trackwright.tuning.intervals import Interval, intervals_of, without_intervals
 from trackwright.tuning.optimisation import FitState
-from trackwright.tuning.parts import Keep, LocalParts
 from trackwright.tuning.problem import is_stochastic
 from trackwright.tuning.sweeping import grid_vectors, swept_parameters
 from trackwright.tuning.tuned_file import tuned_content
-
-# What a cluster needs is imported where one is given.
-if TYPE_CHECKING:
-    from trackwright.experiments.jobs.held_parts import FitWorkers
 
 INTERRUPTED = 130  # the exit code of a command that Ctrl-C ended, as shells have it
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A finished fit. `reported`: what the report is made of, on a cluster a part of the data. `shown`: the recordings
-    whose errors are shown: those held out, or else those fitted to; `others`: those fitted to if some were held out."""
+    """A finished fit. `shown`: the recordings whose errors are shown: those held out, or else those fitted to;
+    `others`: those fitted to if some were held out."""
 
     options: TuneOptions
     named: tw.NamedTracker
     data: FitData
     result: tw.FitResult
-    reported: FitData
     shown: Sequence[tw.RecordingFolder]
     others: Sequence[tw.RecordingFolder]
 
@@ -69,30 +58,21 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], paths: Sequence[Path], o
     """Fits to the first recordings, the others held out, writes all files and prints the table; the exit code."""
     count = len(paths) - len(options.held_out)
     calibration = options.used.read_calibration()
-    if calibration is not None and options.cluster is None:
+    if calibration is not None:
         parts, lines = cross_fitted(folders, calibration)
         notices(lines)
         count, folders = sum(map(len, parts[:count])), [part for of_folder in parts for part in of_folder]
-    with _workers(options) as workers:
-        fitted = fit_folders(folders, paths, count, options, run, workers)
-        run.begin("leaving out recordings")
-        before = changes.tracked(fitted.named, fitted.shown)
-        compared = judged(fitted, before)
-        run.begin("report")
-        content = _write_run(fitted, paths[: len(paths) - len(options.held_out)], run, compared, before)
+    fitted = fit_folders(folders, count, options, run)
+    run.begin("leaving out recordings")
+    before = changes.tracked(fitted.named, fitted.shown)
+    compared = judged(fitted, before)
+    run.begin("report")
+    content = _write_run(fitted, paths[: len(paths) - len(options.held_out)], run, compared, before)
     run.put(content)
     if fitted.result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
         return INTERRUPTED
     return int(options.check and compared.verdict.word == "worse")
-
-
-def _workers(options: TuneOptions) -> AbstractContextManager[FitWorkers | None]:
-    if options.cluster is None:
-        return nullcontext()
-    from trackwright.experiments.jobs.held_parts import fit_workers
-
-    return fit_workers(options.cluster, output_folder(options.out))
 
 
 def tracker_for_folders(folders: Sequence[tw.RecordingFolder], options: WithNumbers) -> tw.NamedTracker:
@@ -105,47 +85,25 @@ def tracker_for_folders(folders: Sequence[tw.RecordingFolder], options: WithNumb
     return options.valued(named)
 
 
-def fit_folders(
-    folders: Sequence[tw.RecordingFolder], paths: Sequence[Path], count: int, options: TuneOptions, run: Run,
-    workers: FitWorkers | None,
-) -> Fitted:  # fmt: skip
-    """Fits the tracker to the first `count` recordings, the others held out; `workers` hold the rows of those at
-    `paths`, of which `folders` are the first."""
+def fit_folders(folders: Sequence[tw.RecordingFolder], count: int, options: TuneOptions, run: Run) -> Fitted:
+    """Fits the tracker to the first `count` recordings, the others held out."""
     named, goal, by_default = tracker_for_folders(folders, options), options.objective, options.objective is None
     notices(mirror_cautions(named, folders))
     how = (options.piece_rows, options.dimensions, options.weigh)
-    keep: Keep = LocalParts
-    if workers is None:
-        data = fit_data(named.only_batch(folders), goal, folders[count:], *how)
-    else:
-        from trackwright.experiments.jobs.held_parts import HeldParts
-
-        refuse_repeated(paths)
-        rest = (folder for path in paths[1:] for folder in prepared([path], options.used))
-        data = data_in_turn(named, chain(folders, rest), count, workers.folder, goal, *how)
-        keep = partial(HeldParts, workers, named)
+    data = fit_data(named.only_batch(folders), goal, folders[count:], *how)
     tune = options.tune or numbers.tuned_by_default(data.tracker, data.objective.needs_truth)
     options = replace(options, numbers=replace(options.numbers, tracker=named.name), objective=data.named, tune=tune)
     bounds = checked_bounds(data, tune, options.freeze, options.bound)
     parameters = numbers.select_parameters(data.tracker, tune, options.freeze)
     notices(cautions(data.tracker, parameters, data.objective))
-    result = _fit(data, options, bounds, run, by_default, keep)
-    reported, known = data, list(folders)
-    if workers is not None:
-        names = pages.recording_names(data.training)[: changes.MOST_PLANS]
-        training = [segment for segment in data.training if segment.folder.name in names]
-        reported, calibration = replace(data, training=training, stacked=True), options.used.read_calibration()
-        places = {segment.folder.path: None for segment in (*training, *data.held_out)}
-        known = [ready(tw.read(path), options.used, calibration)[0] for path in places if path]
-        count = len(names)
-    shown, others = (known[count:], known[:count]) if known[count:] else (known, [])
-    return Fitted(options, named, data, result, reported, shown, others)
+    result = _fit(data, options, bounds, run, by_default)
+    shown, others = (folders[count:], folders[:count]) if folders[count:] else (folders, [])
+    return Fitted(options, named, data, result, shown, others)
 
 
 def _fit(
-    data: FitData, options: TuneOptions, bounds: Mapping[str, tuple[float, float]], run: Run, by_default: bool,
-    keep: Keep,
-) -> tw.FitResult:  # fmt: skip
+    data: FitData, options: TuneOptions, bounds: Mapping[str, tuple[float, float]], run: Run, by_default: bool
+) -> tw.FitResult:
     """The fit, with a checkpoint after every step. `by_default`: whether the objective was chosen by the data."""
     if by_default:
         why = "truth" if data.objective.needs_truth else "no truth that the estimates can be judged by"
@@ -171,7 +129,7 @@ def _fit(
     )
     run.begin("searching for starts" if options.starts > 1 else "first evaluation")
     # The place where a fit is computed does not change it.
-    depends, place = config(options, "resume", "cluster", "check"), Place(keep=keep, report=report, stage=run.begin)
+    depends, place = config(options, "resume", "check"), Place(report=report, stage=run.begin)
     out, say = output_folder(options.out), lambda line: notices([line])
     return kept_fit(data, options.tune or (), how, place, out, depends, options.resume, say)
 
@@ -225,7 +183,7 @@ def _write_run(
     written = ["trace.csv", *drawn, "manifest.json"]
     if options.figures != "none":
         written.insert(0, "report.html")
-        known = pages.collect(result, fitted.reported, objective, intervals, issues)
+        known = pages.collect(result, data, objective, intervals, issues)
         known = replace(
             known,
             training=pages.recording_names(data.training),
@@ -236,7 +194,7 @@ def _write_run(
             compared=compared,
             plans=_plans(fitted, before),
             cautions=tuple(lines),
-            notes=(*_notes(data, result, fitted.reported), *known.notes),
+            notes=(*_notes(data, result), *known.notes),
         )
         write_page(out / "report.html", pages.tuning_page(known))
     about = config(options, "resume", "check")
@@ -251,10 +209,7 @@ def _write_run(
     return content
 
 
-def _notes(data: FitData, result: tw.FitResult, reported: FitData) -> Iterator[str]:
-    if len(reported.training) < len(data.training):
-        shown, total = (len(pages.recording_names(part.training)) for part in (reported, data))
-        yield f"Of the recordings tuned on, {shown} of {total} are shown."
+def _notes(data: FitData, result: tw.FitResult) -> Iterator[str]:
     if result.uncertainty is None:
         yield "The fit was interrupted: the values are the best so far; --resume continues it."
     if result.n_excluded:
@@ -300,7 +255,7 @@ def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, 
         raise tw.UnusableInput(f"--over {' --over '.join(options.over)}: {error}{hint}") from error
     output_folder(out)
     advance = run.begin("grid point", len(points) * (options.repeats if is_stochastic(group.tracker) else 1))
-    swept = tw.sweep(group.tracker, data.rows(), data.objective, grids, options.repeats, advance, data.weights())
+    swept = tw.sweep(group.tracker, data.batches(), data.objective, grids, options.repeats, advance, data.weights())
     run.begin("figure")
     if not np.isfinite(swept.mean).any():
         raise tw.UnusableInput(

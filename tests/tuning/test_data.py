@@ -56,7 +56,7 @@ def test_a_fit_over_the_floor_judges_truth_without_heights_as_evaluate_does(heig
     folder = _folder(1.2, heights)
     tracker = tw.build("fix-kf", folder)
     data = fit_data(tracker.only_batch(folder), "rmse")
-    found = all_metrics(data.tracker, data.rows(), "position", 2)
+    found = all_metrics(data.tracker, data.batches(), "position", 2)
     evaluation = tw.evaluate(tracker.run(folder), folder)
     assert evaluation["n"] == ROWS
     assert found["rmse"] == pytest.approx(evaluation["rmse_m"], rel=1e-9)

@@ -223,7 +223,7 @@ def test_the_objective_is_the_figure_of_the_estimates_shown(name, values, smooth
     data = fit_data(tracker.only_batch([folder]), "rmse", dimensions=3)
     model = Smoothed(data.tracker) if smooth else data.tracker
     quantity = "direction" if name == "beam" else "position"
-    found = all_metrics(model, data.rows(), quantity, 2 if name == "beam" else 3)
+    found = all_metrics(model, data.batches(), quantity, 2 if name == "beam" else 3)
     shown = _shown(tracker.smoothing() if smooth else tracker, folder)
     for objective, figure in shown.items():
         assert found[objective] == pytest.approx(figure, rel=rtol, abs=rtol), objective

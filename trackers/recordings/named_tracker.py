@@ -5,7 +5,7 @@ Recordings in map coordinates are tracked about an origin nearby: single precisi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -109,16 +109,6 @@ class NamedTracker:
         if len(groups) != 1:
             raise self._several(len(groups))
         return replace(groups[0], tracker=self._finished(groups[0].tracker))
-
-    def batch_by_batch(self, recordings: Iterable[RecordingFolder]) -> Iterator[TrackerBatch]:
-        """As `only_batch`, the trajectories of one recording at a time; a recording without any is passed over."""
-        kinds = set()
-        for folder in recordings:
-            for group in self._batches(folder):
-                kinds.add((group.planar, self.spec.geometry(group.trajectories[0])))
-                if len(kinds) > 1:
-                    raise self._several(len(kinds))
-                yield replace(group, tracker=self._finished(group.tracker))
 
     def _several(self, count: int) -> UnusableInput:
         return UnusableInput(

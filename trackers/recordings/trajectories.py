@@ -1,28 +1,20 @@
-"""Trajectories: the rows of one tag (or of one tag at one station) of a recording folder, as arrays for trackers.
-
-The arrays may be in a file, of which the system reads what is looked at.
-"""
+"""Trajectories: the rows of one tag (or of one tag at one station) of a recording folder, as arrays for trackers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import blake2b
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from trackwright.trackers.core.data.recording import Columns, Readings, Recording, each_array
-from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import Kind, std_column
 from trackwright.trackers.recordings.truth import TruthStatus
-
-ALIGNMENT = 64
-"""Bytes that each array begins at a multiple of."""
 
 
 @dataclass(frozen=True)
@@ -195,43 +187,3 @@ def known_heights(folder: RecordingFolder, tags: Sequence[str]) -> np.ndarray:
     if all(tag.height is None for tag in known.values()):
         return np.full(len(tags), np.nan)
     return np.array([np.nan if (tag := known.get(name)) is None or tag.height is None else tag.height for name in tags])
-
-
-def mapped(trajectories: Sequence[Trajectory], path: Path) -> list[Trajectory]:
-    """Trajectories of one recording with their rows in the file `path`, which is written; its tables are left out.
-
-    Raises UnusableInput for a full disk.
-    """
-    begins: list[int] = []
-
-    def write(temporary: Path) -> None:
-        with temporary.open("wb") as file:
-
-            def put(array: np.ndarray) -> np.ndarray:
-                file.write(bytes(-file.tell() % ALIGNMENT))
-                begins.append(file.tell())
-                file.write(array.tobytes())
-                return array
-
-            for trajectory in trajectories:
-                _with_arrays(trajectory.recording, put)
-
-    atomic_write(path, write)
-    # Plain views: a memmap of each array would take more memory than its place in the file.
-    content, places = np.memmap(path, np.uint8, "r").view(np.ndarray), iter(begins)
-
-    def get(array: np.ndarray) -> np.ndarray:
-        begin = next(places)
-        return content[begin : begin + array.nbytes].view(array.dtype).reshape(array.shape)
-
-    folder = replace(trajectories[0].folder, tables={})
-    return [
-        replace(trajectory, folder=folder, recording=_with_arrays(trajectory.recording, get))
-        for trajectory in trajectories
-    ]
-
-
-def _with_arrays(recording: Recording, function: Callable[[np.ndarray], np.ndarray]) -> Recording:
-    """The recording with `function` of each of its arrays, in an order of their own."""
-    readings, inputs, truth = each_array(recording, function)
-    return replace(recording, times=function(recording.times), readings=readings, inputs=inputs, truth=truth)

@@ -108,7 +108,7 @@ class Objective:
         self.parts = []
         for group in self.groups:
             data = fit_data(replace(group, tracker=self._tracker(group, self.now)), "state-nll")
-            problem = Problem(data.tracker, data.rows(), data.objective, select_parameters(data.tracker, ["*"]))
+            problem = Problem(data.tracker, data.batches(), data.objective, select_parameters(data.tracker, ["*"]))
             self.parts.append((problem, FitArrays.of(data).recordings_of(problem)))
 
     def start(self) -> np.ndarray:

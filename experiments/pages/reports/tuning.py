@@ -263,7 +263,7 @@ def collect(
     metrics = [] if objective in TITLES else [MetricChange(objective, objective, "1", pair, (math.nan,) * 2)]
     values = []
     for apart in (False, True):
-        rows = [b if comparable else b._replace(truth={}) for b in data.rows(apart)]
+        rows = [b if comparable else b._replace(truth={}) for b in data.batches(apart)]
         given = rows, quantity, data.dimensions
         values.append([all_metrics(t, *given, weights=data.weights(apart)) if rows else {} for t in trackers])
     for key, (full, own) in TITLES.items():

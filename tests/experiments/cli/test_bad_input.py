@@ -13,7 +13,7 @@ import pytest
 from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import good_tables, write_good
 from tests.in_process import PLAIN, assert_refused, assert_refused_last, trackwright
-from trackwright.tuning import kept_fit
+from trackwright.experiments.jobs import fits
 from trackwright.tuning.checkpoint import save
 
 
@@ -81,7 +81,7 @@ def test_a_fit_that_ran_away_with_all_recordings_gives_no_numbers(tmp_path, simu
     def ran_away(*arguments, **options):
         return SimpleNamespace(n_excluded=6, value=-34.5)
 
-    monkeypatch.setattr(kept_fit, "fit", ran_away)
+    monkeypatch.setattr(fits, "fit", ran_away)
     options = ("--tracker", "beam", "--objective", "nll", "--starts", 1)
     said = trackwright("tune", simulated, *options, "--out", tmp_path / "out")
     assert_refused(said, "nll -34.5", "no segment has finite gradients", "--bound")

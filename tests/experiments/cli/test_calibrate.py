@@ -9,12 +9,13 @@ import pytest
 
 from tests.in_process import PLAIN, assert_refused, trackwright
 from tests.tuning.calibration_worlds import RIG, world
+from trackwright.experiments.jobs.fits import cross_fitted
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.calibration import Calibration, read_calibration, write_calibration
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 from trackwright.trackers.recordings.input_file import identity
-from trackwright.tuning.calibrating import calibrate, cross_fitted
+from trackwright.tuning.calibrating import calibrate
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.in_process import trackwright
-from trackwright.sim.examples import example_for
+from trackwright.experiments.cli.examples import example_for
 from trackwright.trackers.catalogue import TRACKERS, build
 from trackwright.trackers.core.model.tunable import meanings
 
