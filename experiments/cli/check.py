@@ -23,11 +23,12 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
     The exit code is 1 if there are errors.
 
     Args:
-        recordings: recording folders (rig.toml and tables).
+        recordings: recording folders (rig.toml and tables), or folders of these.
         tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
         json: print JSON instead of lines: by folder, the results with level, where and message.
     """
     from trackwright.trackers.catalogue import run_files
+    from trackwright.trackers.recordings.archives import recordings_under
     from trackwright.trackers.recordings.atomic import json_text
     from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
@@ -35,7 +36,7 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
 
     run_files(tracker)
     failed, by_folder = False, {}
-    for path in recordings:
+    for path in (path for given in recordings for path in recordings_under(given)):
         results = check_recording(read_recording(path))
         failed |= any(result.level == "error" for result in results)
         by_folder[str(path)] = [asdict(result) for result in results]
