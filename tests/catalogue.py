@@ -519,7 +519,7 @@ MOTIONS = {
     "halting, at rest": MotionCase(HaltingMotion(LINE, 0.1), HaltingState(4.0, 0.0, 1.0)),
     "halting anywhere": MotionCase(HaltingMotion(LINE, 0.1, travel=20.0), HaltingState(2.0, 0.5, 0.0)),
     **dict(_inertial_motions()),
-    "matrices": MotionCase(_of_matrices().motion, Kinematic(Vector(1.0, 2.0, 1.0), Vector(0.7, -0.4, 0.1))),
+    "matrices": MotionCase(_of_matrices().motion, _of_matrices().motion.step(MOVING, {}, 0.1, Vector(*[0.0] * 6))),
 }
 
 _S1 = RIG.stations["S1"]

@@ -206,6 +206,7 @@ class _Sensor(AbstractSensor):
     R: eqx.Module
     function: Callable[..., Any] = eqx.field(static=True)
     size: int = eqx.field(static=True)
+    view_fields: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -216,7 +217,8 @@ class _Sensor(AbstractSensor):
         return tuple(Channel(f"variance_{k}", "1") for k in range(self.size))
 
     def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
-        predicted = self.function(Vector(*(number for part in view for number in part)), inputs)
+        parts = (getattr(view, name) for name in self.view_fields)
+        predicted = self.function(Vector(*(number for part in parts for number in part)), inputs)
         return [predicted[k] for k in range(self.size)]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
@@ -270,7 +272,9 @@ def _tracker(
     sensors = {}
     for name, function in functions.items():
         noise = _noise(f"R of {name}", noises[name], None, "measurement noise")
-        sensors[name] = _Sensor(noise, function, noise.size)
+        sensors[name] = _Sensor(
+            R=noise, function=function, size=noise.size, view_fields=tuple(part for part, _ in parts)
+        )
     motion = _Motion(_noise("Q", Q, size, "process noise"), step, parts)
     start = _Prior(tuple(mean.tolist()), tuple(float(cov[i, j]) for i, j in triangle(size)), parts)
     return Tracker(motion, sensors, start, track_loss=TrackLossPolicy(np.inf, max_gap=np.inf))
