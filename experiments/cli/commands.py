@@ -190,5 +190,7 @@ def answered(app: App, words: Sequence[str], program: str) -> int:
         line = str(getattr(error, "exception_message", ""))
         if not line.startswith("--"):
             line = f"{error} See `{' '.join((program, *(error.command_chain or ())))} --help`."
+        line = re.sub(r'Command "(.*?)" parameter (\S+) requires an argument', r"\1 needs \2, and its value", line)
+        line = re.sub(r"Unused Tokens: \[(.*)\]", r"found \1 beyond what it takes", line)
         raise UnusableInput(line) from error
     return code or 0

@@ -65,7 +65,8 @@ def to_text(evaluation: Evaluation, width: int = 120) -> str:
 
 def archive_text(evaluation: Evaluation, width: int = 120) -> str:
     """As `to_text`, of any number of recordings: overall, the medians over recordings, and the worst recordings."""
-    recordings = evaluation.recordings
+    # Those without truth have no errors to be among.
+    recordings = [metrics for metrics in evaluation.recordings if metrics["n"]] or evaluation.recordings
     worst = _worst(evaluation, recordings, SHOWN_RECORDINGS)
     medians = pl.DataFrame(recordings, infer_schema_length=None).drop("recording").median().row(0, named=True)
     rows: list[Row] = [

@@ -70,18 +70,21 @@ def _ratios(residuals: pl.DataFrame) -> dict[str, tuple[float, float]]:
     """The ratio and the part of each recording, the largest of its channels with enough means."""
     of, about, square = ["recording", "channel"], pl.col("about"), pl.col("residual") ** 2
     rows = residuals.with_columns(about=pl.col("residual") - pl.col("residual").median().over(of))
-    channels = rows.group_by(of).agg(scatter=1.4826 * about.abs().median(), square=square.mean(), n=pl.len())
-    blocks = rows.group_by(*of, "source", "block", "batch", "trajectory").agg(
+    channels = rows.group_by(of, maintain_order=True).agg(
+        scatter=1.4826 * about.abs().median(), square=square.mean(), n=pl.len()
+    )
+    # In a fixed order, so that their sums have the same bits.
+    blocks = rows.group_by(*of, "source", "block", "batch", "trajectory", maintain_order=True).agg(
         about=about.mean(), within=about.var(ddof=0) * pl.len(), rows=pl.len()
     )
     long = about.filter(pl.col("rows") >= LEAST_ROWS)
-    means = blocks.group_by(of).agg(
+    means = blocks.group_by(of, maintain_order=True).agg(
         size=(long**2).mean().sqrt(), means=long.len(), within=pl.col("within").sum(), blocks=pl.len()
     )
     # Analysis of variance: the scatter within blocks against the mean square.
     within = pl.col("within") / (pl.col("n") - pl.col("blocks")).cast(pl.Int64).clip(lower_bound=1)
     found = channels.join(means, of).filter(pl.col("means") >= LEAST_BLOCKS, pl.col("scatter") > 0)
-    found = found.group_by("recording").agg(
+    found = found.group_by("recording", maintain_order=True).agg(
         (pl.col("size") / pl.col("scatter")).max(), (1 - within / pl.col("square")).max().clip(lower_bound=0)
     )
     return {name: (ratio, part) for name, ratio, part in found.iter_rows()}

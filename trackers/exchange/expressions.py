@@ -168,8 +168,9 @@ def _moments(file: TableFile, texts: pl.Series, column: str, order: str) -> pl.S
     if (wrong := full & found.is_null()).any():
         row = first_row(wrong)
         alike = f"as {first!r}, a time zone in all rows or none" if row != first_row(full) else "no order is guessed"
-        mark = "/" if "/" in texts[row] else "-"
-        fix = f"name it, as 't_s={column} in mm{mark}dd{mark}yyyy' or 't_s={column} in dd-mmm-yyyy'"
+        mark, named = "/" if "/" in texts[row] else "-", re.search("-[A-Za-z]{3}-", texts[row])
+        orders = ["dd-mmm-yyyy"] if named else [f"mm{mark}dd{mark}yyyy", f"dd{mark}mm{mark}yyyy"]
+        fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
         raise UnusableInput(f"{file.location(row, column)}: {texts[row]!r}; expected {order}, {alike}: {fix}")
     return found
 

@@ -250,9 +250,11 @@ def _complete(
     wanted = layout(table, [*expressions, *(name for name in present if name not in expressions)])
     own = expressions.get("tag", Expression("tag", "tag", ("tag",)))
     given, column = mapping.tag or own.constant, next(iter(own.sources), "tag")
-    tags = {*texts_of(file.frame[column])} - {None, "", given} if given and column in present else set()
+    texts = {*texts_of(file.frame[column])} - {None, ""} if given and column in present else set()
+    tags = texts - {given}
     if tags and (mapping.tag or len(tags) > 1):
-        fix = f'leave it out, or read one alone: where = {{ {column} = ["{min(tags)}"] }} in a file of --mapping'
+        alone = given if given in texts else min(tags)
+        fix = f'leave it out, or read one alone: where = {{ {column} = ["{alone}"] }} in a file of --mapping'
         found = f"the column {column} has {listed(sorted(tags))}, which --tag {given} would overwrite"
         raise UnusableInput(f"{file.path}: {found}; {fix}")
     constants = {} if mapping.tag is None else {"tag": mapping.tag}
@@ -273,7 +275,8 @@ def _complete(
         if name not in expressions:
             source = get_close_matches(name.rpartition("_")[0], [c for c in present if c not in known], 1, 0.3)
             example = f"{name}={(source or ['COLUMN'])[0]}" + " in UNIT" * ("_" in name)
-            fix = f"add --columns '{example}'; a file without a header: --header none"
+            headless = any(re.fullmatch(r"[-+\d.,eE]+", name) for name in present)
+            fix = f"add --columns '{example}'" + "; a file without a header: --header none" * headless
             fix = {
                 "tag": "give --tag ID (in Python: tag=)",
                 "z_m": "add an empty column where no height is measured",

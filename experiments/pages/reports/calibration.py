@@ -53,12 +53,15 @@ SECTIONS = {
 }  # fmt: skip
 """The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several."""
 
-NOTE = (
-    "± standard error; in brackets: not determined by these recordings, near its value before them. As measured, "
-    "calibrated: 68th percentile of the absolute error before and after. Left out: by a calibration on the other "
-    "recordings. Not linear: the errors that the line leaves differ between distances more than between pieces of time "
-    "(p < 0.001)."
-)
+NOTES = {
+    "±": "±: standard error.",
+    "(": "In brackets: not determined by these recordings, near its value before them.",
+    "as measured": "As measured, calibrated: 68th percentile of the absolute error before and after.",
+    "left out": "Left out: by a calibration on the other recordings.",
+    ", not linear": "Not linear: the errors that the line leaves differ between distances more than between pieces of "
+    "time (p < 0.001).",
+}
+"""What the words of the tables mean."""
 
 
 class Source(NamedTuple):
@@ -162,12 +165,14 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         places = (_term(*of, of[1] < DETERMINED * OFFSET_SIGMA) if of[1] else MISSING
                   for of in zip(tag.offset, tag.offset_sigmas, strict=True))  # fmt: skip
         rows["tags"].append([name, _term(tag.bias, tag.sigma, True), *places, str(tag.rows)])
-    tables, note = {}, NOTE
+    tables = {}
     for name, section in SECTIONS.items():
         width = len(section.head) - (name != "tags" and all(row[-1] == MISSING for row in rows[name]))
         if rows[name]:
             shorter = [row[:width] for row in rows[name]]
             tables[name] = section._replace(head=section.head[:width], rows=shorter, looks={"calibrated": "after"})
+    words = "\n".join(cell for table in tables.values() for row in (table.head, *table.rows) for cell in row)
+    note = " ".join(text for word, text in NOTES.items() if word in words)
     if by_place := calibration.bearing_map:
         visits = sum(len(visits) for visits in by_place.stations.values())
         note += (

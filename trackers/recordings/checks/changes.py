@@ -273,13 +273,20 @@ def _swapped(view: Compared) -> Iterator[Change]:
     for what, ids, apply in tried if len(view.moment) else [*tried, ("tag", view.tags, paths)]:
         order, few = np.arange(len(ids)), view if len(view.moment) else view.thinned(max(COARSE, 60 * len(ids)))
         cost, pairs = _cost(few), [*combinations(range(len(ids)), 2)] if len(ids) <= MOST_SWAPPED else []
-        # Contradictions fall with any further exchange.
-        for _ in range(1 if len(view.moment) else len(ids)):
+        orders = list[np.ndarray]()
+        for _ in range(len(ids)):
             costs = [_cost(apply(few, 0, exchanged(order, *pair))) for pair in pairs]
             if not min(costs, default=np.inf) < cost - CLEAR:
                 break
+            if len(view.moment):
+                # Contradictions fall with any further exchange, and in a symmetric hall alike with other pairs.
+                most = min(cost - CLEAR, min(costs) + len(ids) * np.log(ALIKE))
+                orders = [exchanged(order, *pair) for pair, one in zip(pairs, costs, strict=True) if one <= most]
+                break
             cost, order = min(costs), exchanged(order, *pairs[int(np.argmin(costs))])
-        if moved := np.flatnonzero(order != np.arange(len(ids))).tolist():
+            orders = [order]
+        for order in orders:
+            moved = np.flatnonzero(order != np.arange(len(ids))).tolist()
             words = f"{what}s exchanged ({', '.join(f'{ids[k]} for {ids[order[k]]}' for k in moved)})"
             words = f"{what}s {ids[moved[0]]} and {ids[moved[1]]} swapped" if len(moved) == 2 else words
             cause = f"the ids of {what}s are mixed up; correct rig.toml or the table"

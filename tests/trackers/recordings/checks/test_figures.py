@@ -18,7 +18,7 @@ from tests.trackers.recordings.checks.made import (
     with_anchors,
     with_columns,
 )
-from trackwright.trackers.core.model.rig import Tag
+from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.exchange.truth_frame import parsed_placement
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.checks.compared import compared, moments, robust_fit
@@ -26,6 +26,7 @@ from trackwright.trackers.recordings.checks.imu import between, check_imu, imu_r
 from trackwright.trackers.recordings.checks.readings import Readings, autocorrelation, quantisation_step, repeated_share
 from trackwright.trackers.recordings.checks.residuals import residuals
 from trackwright.trackers.recordings.checks.rules import check_rows
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 STEP_S, T = 0.1, pl.col("t_s")
 
@@ -201,3 +202,21 @@ def test_a_row_of_another_clock_costs_no_memory():
         table = tool().tables[name]
         far = pl.concat([table, table.tail(1).with_columns(T + 1e14)])
         assert [*check_imu(replace(tool(), tables=tool().tables | {name: far}))] == []
+
+
+@pytest.mark.parametrize("pair", [("A1", "A2"), ("A3", "A4"), ("A1", "A4"), ("A2", "A3")])
+def test_exchanged_ids_in_a_symmetric_hall_are_named_with_the_other_pair(pair):
+    corners = {f"A{k + 1}": np.array([x, y, 2.5]) for k, (x, y) in enumerate(((0, 0), (10, 0), (10, 8), (0, 8)))}
+    times, rng = np.arange(0, 40, 0.1), np.random.default_rng(1)
+    path = np.stack([5 + 3 * np.cos(times / 4), 4 + 2.5 * np.sin(times / 4), np.full(len(times), 1.2)], axis=1)
+    swap = {pair[0]: pair[1], pair[1]: pair[0]}
+    rows = [
+        (t, "T1", swap.get(name, name), np.linalg.norm(p - corner) + rng.normal(0, 0.06))
+        for t, p in zip(times.tolist(), path, strict=True)
+        for name, corner in corners.items()
+    ]
+    ranges = pl.DataFrame(rows, schema=["t_s", "tag", "anchor", "range_m"], orient="row")
+    rig = Rig("hall", anchors=corners, tags={"T1": Tag(1.2)})
+    (found,) = (one for one in check(RecordingFolder("hall", None, rig, {"ranges": ranges})) if one.level == "error")
+    other = next(two for two in (("A3", "A4"), ("A1", "A2"), ("A2", "A3"), ("A1", "A4")) if not {*two} & {*pair})
+    assert all(f"anchors {a} and {b} swapped" in found.message for a, b in (pair, other))
