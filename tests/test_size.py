@@ -16,7 +16,7 @@ LINES = {
     "tuning": 6_030,
     "experiments": 12_980,
     "trackwright": 30,
-    "tests": 32_915,
+    "tests": 32_935,
 }
 """The most lines of Python of each folder at the top."""
 

@@ -40,7 +40,13 @@ def _mean(estimates):
 
 
 @pytest.mark.parametrize(
-    ("world", "name"), [("agv", "fix-kf"), ("ranges", "uwb"), ("fusion", "bearings"), ("tdoa", "tdoa")]
+    ("world", "name"),
+    [
+        ("agv", "fix-kf"),
+        ("ranges", "uwb"),
+        ("fusion", "bearings"),
+        pytest.param("tdoa", "tdoa", marks=pytest.mark.slow),
+    ],
 )
 def test_the_program_gives_the_estimates_and_statuses_of_run(world, name, tmp_path):
     batch = _batch(world, name)
