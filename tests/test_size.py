@@ -16,7 +16,7 @@ LINES = {
     "tuning": 6_030,
     "experiments": 12_980,
     "trackwright": 30,
-    "tests": 32_935,
+    "tests": 32_945,
 }
 """The most lines of Python of each folder at the top."""
 
