@@ -93,15 +93,13 @@ def one_row(tracker: Any, carry: Carry, row: Row, starts: bool) -> tuple[Carry, 
     """
     belief, innovation = tracker.update(tracker.predict(carry.belief, row), row)
     carry, info = tracker.advance(carry, row, belief, innovation)
-    if not starts:
-        mean, cov = tracker.moments(carry.belief)
-        return carry, (mean, tuple(as_scalars(cov)), *info)
-    need = row.valid & ~carry.running & tracker.start.can_start(row) & (info.status != Status.NON_FINITE)
-    fresh = in_form(initial_carry(tracker, tracker.start.candidate(tracker.sensors, row), row), False)
-    status = jnp.where(need, jnp.where(carry.started, Status.RESTARTED, Status.OK), info.status).astype(jnp.int8)
-    carry = select(need, fresh, carry)
+    if starts:
+        need = row.valid & ~carry.running & tracker.start.can_start(row) & (info.status != Status.NON_FINITE)
+        fresh = in_form(initial_carry(tracker, tracker.start.candidate(tracker.sensors, row), row), False)
+        status = jnp.where(need, jnp.where(carry.started, Status.RESTARTED, Status.OK), info.status).astype(jnp.int8)
+        carry, info = select(need, fresh, carry), info._replace(status=status)
     mean, cov = tracker.moments(carry.belief)
-    return carry, (mean, tuple(as_scalars(cov)), *info[:4], status)
+    return carry, (mean, tuple(as_scalars(cov)), *info)
 
 
 def c_source(

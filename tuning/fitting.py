@@ -166,11 +166,10 @@ class FitOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where a fit is computed, and what is told of it; the result has the same bits everywhere.
+    """Where a fit goes on from, and what is told of it; the result has the same bits as of a fit that was not stopped.
 
-    `keep`: takes the rows to where they are computed, by default to the devices of this process. `resume`: arrays of a
-    state (`tuning.checkpoint.to_arrays`), from which the fit goes on. `report` is called with the state after every
-    step, `stage` with the name of each stage.
+    `resume`: arrays of a state (`tuning.checkpoint.to_arrays`). `report` is called with the state after every step,
+    `stage` with the name of each stage.
     """
 
     resume: Sequence[np.ndarray] | None = None
@@ -195,7 +194,7 @@ def fit(
     several, or batches. `objective`: an object, its name as on the command line (`nll`, `rmse`, `state-nll`, ...), or a
     function of a row's state and truth, whose mean is minimised (`tuning.objectives.MeanLoss`); default `state-nll`
     where there is truth, else `nll`. `tune`: shell patterns; by default `parameters.tuned_by_default`. `options`: how
-    it is done; `on`: where.
+    it is done; `on`: from where it goes on, and what is told.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The noise levels of a sensor whose readings in arrays have a step are not fitted below its rounding's,

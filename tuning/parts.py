@@ -139,7 +139,7 @@ Function = Callable[[Point, Batch], Any]
 """What is compiled: of a point and a chunk."""
 
 Reduced = Callable[[Any, Batch], Any]
-"""What is computed on the host, from the arrays of a compiled function and its chunk, before a result travels."""
+"""What is computed on the host, from the arrays of a compiled function and its chunk."""
 
 Blocks = Sequence[Float[np.ndarray, "S p"]]
 """Vectors of a problem, one block in one compiled call."""
@@ -169,18 +169,14 @@ class Parts:
 
     def compute(self, computation: Computation) -> list[list[Any]]:
         """The results of all chunks, in their order."""
-        return on_chunks(self.point, self.chunks, computation)
-
-
-def on_chunks(point: Point, chunks: Sequence[Batch], computation: Computation) -> list[list[Any]]:
-    """The results of each chunk, which is on its device."""
-    if computation.realisation:
-        chunks = [fresh_keys(chunk, computation.realisation) for chunk in chunks]
-    points = [point.at(block) for block in computation.blocks]
-    # Values of rows are computed by the program that tracks recordings.
-    run = rows_of_runs if computation.function is plain_rows else partial(run_chunks, computation.function)
-    results = iter(run([(point, chunk) for chunk in chunks for point in points]))
-    return [[computation.reduced(next(results), chunk) for _ in points] for chunk in chunks]
+        chunks = self.chunks
+        if computation.realisation:
+            chunks = [fresh_keys(chunk, computation.realisation) for chunk in chunks]
+        points = [self.point.at(block) for block in computation.blocks]
+        # Values of rows are computed by the program that tracks recordings.
+        run = rows_of_runs if computation.function is plain_rows else partial(run_chunks, computation.function)
+        results = iter(run([(point, chunk) for chunk in chunks for point in points]))
+        return [[computation.reduced(next(results), chunk) for _ in points] for chunk in chunks]
 
 
 def fresh_keys(part: Batch, realisation: int) -> Batch:

@@ -128,7 +128,6 @@ def _fit(
         prior=options.prior,
     )
     run.begin("searching for starts" if options.starts > 1 else "first evaluation")
-    # The place where a fit is computed does not change it.
     depends, place = config(options, "resume", "check"), Place(report=report, stage=run.begin)
     out, say = output_folder(options.out), lambda line: notices([line])
     return kept_fit(data, options.tune or (), how, place, out, depends, options.resume, say)

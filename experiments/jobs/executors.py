@@ -54,17 +54,11 @@ class Threads(ThreadPoolExecutor):
 
 @contextmanager
 def cluster_executor(cluster: str) -> Iterator[WorkerExecutor]:
-    """The workers of a cluster, as of `cluster_client`, as an executor."""
-    with cluster_client(cluster) as (client, expected):
-        workers = len(client.nthreads())
-        yield WorkerExecutor(client.get_executor(pure=False), expected, max(AT_ONCE, workers + workers // 4))
+    """The workers of a Dask cluster, `local:N` or those of the scheduler at `tcp://HOST:PORT`.
 
-
-@contextmanager
-def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Dask's client of `local:N`, or of the scheduler at `tcp://HOST:PORT`, and the environment expected of its
-    workers. Raises UnusableInput for another text, where no scheduler answers, for workers with other versions, and
-    where the cluster is lost."""
+    Raises UnusableInput for another text, where no scheduler answers, for workers with other versions, and where the
+    cluster is lost.
+    """
     local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
     if not local and not re.fullmatch(r"[a-z]+://\S+", cluster):
         raise UnusableInput(f"--cluster {cluster}: expected local:N, as local:4, or an address, as tcp://HOST:8786")
@@ -77,7 +71,8 @@ def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
             client.wait_for_workers(1)
             for address, actual in client.run(_prepared, expected["XLA flags"], on_error="return").items():
                 require_same(expected, actual, f"worker {address}")
-            yield client, expected
+            workers = len(client.nthreads())
+            yield WorkerExecutor(client.get_executor(pure=False), expected, max(AT_ONCE, workers + workers // 4))
     except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
         fix = "see that it runs, then run the command again"
         raise UnusableInput(f"--cluster {cluster}: the scheduler was lost, or the network to it; {fix}") from error
@@ -137,9 +132,8 @@ class WorkerExecutor(Executor):
         self.executor.shutdown(wait=wait, cancel_futures=cancel_futures)
 
 
-def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
-    """In a worker: the result of a pickled call; raises UnusableInput where the environment differs. `held`: its first
-    arguments, which the worker has already: of types that do not import jax."""
+def computed(expected: Mapping[str, Any], call: bytes) -> Any:
+    """In a worker: the result of a pickled call; raises UnusableInput where the environment differs."""
     require_same(expected, _prepared(expected["XLA flags"]), f"worker on {platform.node()}")
     import jax
 
@@ -147,7 +141,7 @@ def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
         _keep_programs()
     with jax.enable_x64(expected["x64"]):
         function, args, kwargs = pickle.loads(call)
-        return function(*held, *args, **kwargs)
+        return function(*args, **kwargs)
 
 
 def _prepared(flags: str) -> dict[str, Any]:

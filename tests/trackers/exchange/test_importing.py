@@ -12,7 +12,7 @@ import pytest
 import trackwright as tw
 from tests.in_process import assert_refused_last, trackwright
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, Similarity, trajectory_of_table, write_trajectory
-from trackwright.trackers.exchange.truth_frame import found_placement, leaning
+from trackwright.trackers.exchange.truth_frame import leaning
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 RIG = 'format = 1\nname = "hall 3"\n[anchors]\nA1 = [0.0, 0.0, 2.0]\nA2 = [6.0, 0.0, 2.5]\n0x0F = [0.0, 5.0, 2.2]\n'
@@ -186,15 +186,6 @@ def test_a_truth_in_another_frame_and_on_another_clock_is_brought_over_by_the_re
     Path("hall/truth.parquet").unlink()
     assert trackwright(*TRUTH, "--transform=100,-50,2,-37,0.35").code == 0
     assert _distances(foreign).max() < 1e-3
-
-
-def test_a_height_that_biases_of_ranges_do_not_determine_stays_as_it_is():
-    folder = tw.simulate.ranges(n=1, rows=400, seed=4, hidden=0.0, bias=0.0).folder()
-    longer = folder.tables["ranges"].with_columns(pl.col("range_m") + 0.04)
-    found, words = found_placement(replace(folder, tables={**folder.tables, "ranges": longer}))
-    assert found.z == 0.0
-    assert "z as it was" in words
-    assert "standard errors" in words
 
 
 def test_a_truth_that_leans_is_levelled_by_the_gravity_that_an_imu_measures(tmp_path, monkeypatch):
