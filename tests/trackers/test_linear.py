@@ -13,7 +13,6 @@ RNG = np.random.default_rng(3)
 F, H, R = np.array([[1.0, 0.5], [0.0, 0.9]]), np.array([[1.0, 0.0]]), np.array([[0.4]])
 Q, B = np.array([[0.3, 0.1], [0.1, 0.2]]), np.array([[0.0], [1.0]])
 X0, P0 = np.array([1.0, -1.0]), np.array([[2.0, 0.3], [0.3, 1.0]])
-LEVEL = np.array([0.1, 0.3])
 Z = RNG.normal(size=40).cumsum()
 Z[[0, 7, 8, 30]] = np.nan
 U = RNG.normal(size=40)

@@ -7,13 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import polars as pl
 from scipy.stats import chi2
 
-from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.wording import counted
@@ -149,25 +148,6 @@ def write_rrd(
             rr.send_columns(rr.new_entity_path([*entity, name]), times, columns, recording=stream)
     stream.flush()
     stream.disconnect()
-
-
-def _log(rr: Any, stream: Any, entity: list[str], track: ExportedTrack) -> None:
-    positions = np.nan_to_num(track.poses.positions)
-    stream.log([*entity, "path"], rr.LineStrips3D([positions]), static=True)
-    times, name = [rr.TimeColumn("t_s", duration=track.poses.times)], rr.new_entity_path
-    points = rr.Points3D.columns(positions=positions, radii=np.full(len(positions), 0.04))
-    rr.send_columns(name([*entity, "position"]), times, points, recording=stream)
-    if track.covariances is not None:
-        half_sizes, quaternions = _ellipsoids(track.covariances)
-        shapes = rr.Ellipsoids3D.columns(centers=positions, half_sizes=half_sizes, quaternions=quaternions)
-        rr.send_columns(name([*entity, "ellipsoid 95 %"]), times, shapes, recording=stream)
-
-
-def _ellipsoids(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Half axes (n, 3), m, and attitudes (n, 4) x, y, z, w of the 95 % ellipsoids; an unknown variance counts as 0."""
-    values, axes = np.linalg.eigh(np.nan_to_num(covariances))
-    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-    return np.sqrt(np.maximum(values, 0.0) * chi_square_quantile(0.95, 3)), np.roll(quaternions_of(axes), -1, axis=1)
 
 
 Format = Literal["tum", "kitti", "csv", "ros2", "rrd"]

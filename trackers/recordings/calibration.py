@@ -26,8 +26,6 @@ from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.input_file import AS_FILE, NUMBERS, Count, Number, Positive, read_model
 
 ANGLES = ("azimuth", "elevation")
-ANGLE_TERMS = ("offset", "gain", "cubic", "cross")
-RANGE_TERMS = ("bias", "slope")
 
 ANGLE_PRIOR = np.array([0.0, 1.0, 0.0, 0.0]), np.array([0.2, 0.3, 0.2, 0.2])
 """Mean and standard deviation of the terms of an angle before any recording, in rad to the power of each term."""

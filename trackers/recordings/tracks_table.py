@@ -20,11 +20,6 @@ NO_ESTIMATE = ("waiting", "non-finite")
 """Values of `status` of rows without an estimate."""
 
 
-def write_tracks(tracks: pl.DataFrame, path: Path) -> None:
-    """Write a table of estimates; packed in 60 % of the time of the default level, into files that are 1/7 larger."""
-    tracks.write_parquet(path, compression_level=1)
-
-
 def read_tracks(folder: Path | str) -> pl.DataFrame:
     """The table of estimates in the output folder of `trackwright track`; raises UnusableInput if there is none."""
     path = Path(folder) / TRACKS

@@ -16,7 +16,7 @@ import pytest
 from tests.in_process import PLAIN, assert_refused_last, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
 from trackwright.trackers.exchange.trajectories import PoseTrajectory, trajectory_of_table, write_trajectory
-from trackwright.trackers.recordings.tracks_table import write_tracks
+from trackwright.trackers.recordings.atomic import write_whole
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def run(truth, tmp_path):
         pl.col("t_s") + 0.3, pl.col("x_m") + 0.04, recording=pl.lit("hall-1"), tag=pl.lit("T7")
     )
     (tmp_path / "run").mkdir()
-    write_tracks(estimates, tmp_path / "run" / "tracks.parquet")
+    write_whole(tmp_path / "run" / "tracks.parquet", estimates)
     return tmp_path / "run"
 
 
@@ -129,17 +129,17 @@ def test_a_run_of_one_tag_is_scored_by_a_trajectory_file(run, there):
     assert (track["recording"], track["tag"]) == ("hall-1", "T7")
     assert json.loads(said.out)["overall"]["rmse_m"] == pytest.approx(0.04, rel=1e-3)
     moved = pl.read_parquet(run / "tracks.parquet").with_columns(pl.col("t_s") + 1777896800.0)
-    write_tracks(moved, run / "tracks.parquet")
+    write_whole(run / "tracks.parquet", moved)
     shifted = trackwright("evaluate", run, "--truth", there / "true.tum", "--time-offset", "-1777896800.3")
     assert "time offset -1777896800.3 s" in " ".join(shifted.out.split())
     apart = trackwright("evaluate", run, "--truth", there / "true.tum")
     assert_refused_last(apart, "UTC, truth from 0 to", "a --time-offset: with -1777896800.3 both begin together")
-    write_tracks(moved.with_columns(pl.col("t_s") - 1777896800.0), run / "tracks.parquet")
+    write_whole(run / "tracks.parquet", moved.with_columns(pl.col("t_s") - 1777896800.0))
     plain = trackwright("evaluate", run, "--truth", there / "true.tum")
     assert plain.code == 0, plain.err
     assert "a delay of the estimates" not in plain.out
     both = pl.concat([pl.read_parquet(run / "tracks.parquet").with_columns(tag=pl.lit(tag)) for tag in ("T7", "T8")])
-    write_tracks(both, run / "tracks.parquet")
+    write_whole(run / "tracks.parquet", both)
     several = trackwright("evaluate", run, "--truth", there / "true.tum")
     assert_refused_last(several, "no track has a truth", "T7", "give the --truth of the same recording and tag")
     assert trackwright("evaluate", run, "--truth", there / "true.tum", "--tag", "T8").code == 0

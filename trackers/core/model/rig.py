@@ -34,16 +34,6 @@ def angles_in_array(points: Float[np.ndarray, "3 *rows"]) -> Float[np.ndarray, "
     return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
 
 
-def angle_slopes(points: Float[np.ndarray, "3 *rows"]) -> Float[np.ndarray, "*rows 2 3"]:
-    """The derivatives of azimuth and elevation, rad/m, by the coordinates of points in array frames."""
-    x, y, z = points
-    flat, zero = np.maximum(x**2 + z**2, 1e-9), np.zeros_like(x)
-    over, across = flat + y**2, np.sqrt(flat)
-    azimuth = np.stack([z / flat, zero, -x / flat], axis=-1)
-    elevation = np.stack([-x * y / across, across, -z * y / across], axis=-1) / over[..., None]
-    return np.stack([azimuth, elevation], axis=-2)
-
-
 @dataclass(frozen=True)
 class Station:
     """An angle-of-arrival station.
