@@ -20,15 +20,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.tuning.batches import Pieces, by_chunks, padded_size
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, flatten
-from trackwright.tuning.parts import (
-    BESIDE,
-    Computation,
-    Parts,
-    Point,
-    WithDerivatives,
-    plain_rows,
-    plain_sums,
-)
+from trackwright.tuning.parts import BESIDE, Computation, Parts, Point, WithDerivatives, plain_rows, plain_sums
 from trackwright.tuning.priors import Penalty, Prior
 
 Vectors = Float[np.ndarray, "*S p"]
@@ -124,10 +116,7 @@ class Problem:
         self.lately: dict[tuple[Any, ...], Sequence[tuple[np.ndarray, ...]]] = {}
 
     def evaluate(
-        self,
-        vectors: Vectors,
-        weights: Num[np.ndarray, "*many n"] | None = None,
-        realisation: int = 0,
+        self, vectors: Vectors, weights: Num[np.ndarray, "*many n"] | None = None, realisation: int = 0
     ) -> Evaluation:
         """The objective and its gradient at vectors (S, p), over the trajectories that are usable there.
 

@@ -132,18 +132,9 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         geometry=_floor_geometry,
         planar=lambda trajectory, free_height: True,
     ),
-    "fix-kf": partial(
-        _of_fixes,
-        build=_unknown_latency(lambda trajectory, planar: fix_tracker(planar=planar)),
-    ),
-    "fix-singer": partial(
-        _of_fixes,
-        build=_unknown_latency(lambda trajectory, planar: singer_tracker(planar=planar)),
-    ),
-    "imm": partial(
-        _of_fixes,
-        build=_unknown_latency(_switching),
-    ),
+    "fix-kf": partial(_of_fixes, build=_unknown_latency(lambda trajectory, planar: fix_tracker(planar=planar))),
+    "fix-singer": partial(_of_fixes, build=_unknown_latency(lambda trajectory, planar: singer_tracker(planar=planar))),
+    "imm": partial(_of_fixes, build=_unknown_latency(_switching)),
     "fix-mirror": partial(
         TrackerSpec,
         lacks=lacks_coplanar_anchors,
@@ -151,15 +142,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_unknown_latency(_mirror),
         planar=lambda trajectory, free_height: False,
     ),
-    "moving-average": partial(
-        _of_fixes,
-        build=_window(median=False),
-        every_row=(FIXES,),
-    ),
-    "median": partial(
-        _of_fixes,
-        build=_window(median=True),
-        every_row=(FIXES,),
-    ),
+    "moving-average": partial(_of_fixes, build=_window(median=False), every_row=(FIXES,)),
+    "median": partial(_of_fixes, build=_window(median=True), every_row=(FIXES,)),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

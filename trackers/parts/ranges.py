@@ -59,15 +59,7 @@ class RangeSensor(AbstractSensor):
     slots: int = eqx.field(static=True)
     late: Noise | None
 
-    def __init__(
-        self,
-        slots: int,
-        anchors: int,
-        sigma_r: float,
-        positive_skew: float,
-        dof: float,
-        bias: float = 0.0,
-    ):
+    def __init__(self, slots: int, anchors: int, sigma_r: float, positive_skew: float, dof: float, bias: float = 0.0):
         """`slots`: ranges per row; `anchors`: number of biases; `bias`: their initial value, m."""
         self.slots = slots
         self.sigma_r = Scale(sigma_r, "m", "measurement noise")
