@@ -43,7 +43,6 @@ def study(
     from trackwright.experiments.monte_carlo.runner import StopRule, run_study
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
     from trackwright.experiments.monte_carlo.store import CHUNKS
-    from trackwright.experiments.pages.charts.drawing import write_charts
     from trackwright.experiments.pages.reports import study as pages
     from trackwright.experiments.pages.reports.pages import write_page
     from trackwright.experiments.text.terminal import notice
@@ -87,6 +86,9 @@ def study(
     write_whole(folder / "results.json", pages.to_json(results, expected))
     written = ["results.json", "manifest.json"]
     if kind := file_format(figures):
+        # matplotlib takes a third of a second to import.
+        from trackwright.experiments.pages.charts.drawing import write_charts
+
         charts = [chart for group in pages.study_charts(results) for chart in group]
         written.append(figures_drawn(write_charts(folder, charts, kind)))
     if figures != "none":
