@@ -24,8 +24,8 @@ from trackwright.trackers.core.model.covariance import Gaussian, as_scalars
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import freeze, tunables
+from trackwright.trackers.core.run import scan
 from trackwright.trackers.core.run.chunks import as_dtype
-from trackwright.trackers.core.run.scan import Carry, carry_of, first_carry, in_form, initial_carry
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.recordings.atomic import write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -34,22 +34,9 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 SIGNS = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/", "and": "&", "or": "|"}
 SIGNS |= {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
 ONE = (
-    "sqrt",
-    "log",
-    "log1p",
-    "exp",
-    "expm1",
-    "sin",
-    "cos",
-    "tan",
-    "tanh",
-    "ceil",
-    "floor",
-    "acos",
-    "asin",
-    "lgamma",
+    "sqrt", "log", "log1p", "exp", "expm1", "sin", "cos", "tan", "tanh", "ceil", "floor", "acos", "asin", "lgamma",
     "erf",
-)
+)  # fmt: skip
 TEMPLATES = {
     **{name: f"{{0}} {sign} {{1}}" for name, sign in SIGNS.items()},
     **{name: name + "{f}({0})" for name in ONE},
@@ -86,7 +73,7 @@ class Source(NamedTuple):
     columns: tuple[str, ...]
 
 
-def one_row(tracker: Any, carry: Carry, row: Row, starts: bool) -> tuple[Carry, tuple[Any, ...]]:
+def one_row(tracker: Any, carry: scan.Carry, row: Row, starts: bool) -> tuple[scan.Carry, tuple[Any, ...]]:
     """The carry of one trajectory after a row, and mean, covariance and diagnostics, as `scan.scan_rows` has them.
 
     `starts`: whether a row may start a track.
@@ -94,10 +81,9 @@ def one_row(tracker: Any, carry: Carry, row: Row, starts: bool) -> tuple[Carry, 
     belief, innovation = tracker.update(tracker.predict(carry.belief, row), row)
     carry, info = tracker.advance(carry, row, belief, innovation)
     if starts:
-        need = row.valid & ~carry.running & tracker.start.can_start(row) & (info.status != Status.NON_FINITE)
-        fresh = in_form(initial_carry(tracker, tracker.start.candidate(tracker.sensors, row), row), False)
-        status = jnp.where(need, jnp.where(carry.started, Status.RESTARTED, Status.OK), info.status).astype(jnp.int8)
-        carry, info = select(need, fresh, carry), info._replace(status=status)
+        need = scan.starting(carry, row, tracker.start.can_start(row), info)
+        fresh = scan.in_form(scan.initial_carry(tracker, tracker.start.candidate(tracker.sensors, row), row), False)
+        carry, info = select(need, fresh, carry), scan.with_start(carry, need, info)
     mean, cov = tracker.moments(carry.belief)
     return carry, (mean, tuple(as_scalars(cov)), *info)
 
@@ -120,7 +106,7 @@ def c_source(
 def _source(tracker: Tracker, recording: Recording, name: str, about: str, double: bool) -> Source:
     model = freeze(as_dtype(tracker, np.float64 if double else np.float32))
     row = _row(stack([recording]), np.float64 if double else np.float32)
-    carry = first_carry(model, row, False)
+    carry = scan.first_carry(model, row, False)
     begin = None
     try:
         step = _traced(lambda s, r: one_row(model, s, r, True), double, s=carry, r=row)
@@ -136,8 +122,8 @@ def _source(tracker: Tracker, recording: Recording, name: str, about: str, doubl
     return _written(name, about or name, tracker, carry, row, step, begin, "double" if double else "float")
 
 
-def _begun(tracker: Any, mean: Any, cov: Any) -> Carry:
-    return in_form(carry_of(tracker, Gaussian(mean, cov), jnp.zeros(2, jnp.uint32), jnp.uint32(0)), False)
+def _begun(tracker: Any, mean: Any, cov: Any) -> scan.Carry:
+    return scan.in_form(scan.carry_of(tracker, Gaussian(mean, cov), jnp.zeros(2, jnp.uint32), jnp.uint32(0)), False)
 
 
 class _Text(NamedTuple):
@@ -350,7 +336,7 @@ def _objects(values: Any) -> np.ndarray:
 
 
 def _written(
-    name: str, about: str, tracker: Tracker, carry: Carry, row: Row, step: _Text, begin: _Text | None, real: str
+    name: str, about: str, tracker: Tracker, carry: scan.Carry, row: Row, step: _Text, begin: _Text | None, real: str
 ) -> Source:
     program, count = _Program(real == "double"), len(jax.tree_util.tree_leaves(carry))
     leaves = [(f"s{k}", x) for k, x in enumerate(jax.tree_util.tree_leaves(carry))]

@@ -294,7 +294,7 @@ def reinitialise(
     After a numerical failure the next row that suffices starts a track, so that the failure stays visible in its row.
     """
     sufficient = jax.vmap(tracker.start.can_start, in_axes=-1)(row)
-    need = row.valid & ~carry.running & sufficient & (info.status != Status.NON_FINITE)
+    need = starting(carry, row, sufficient, info)
     candidates = search(tracker, row, need, few)
     axes = carry_axes(tracker)
 
@@ -309,8 +309,18 @@ def reinitialise(
         if tracker.filter.has_particle_axis
         else with_new_tracks()
     )
+    return after, with_start(carry, need, info)
+
+
+def starting(carry: Carry, row: Row, sufficient: Scalar, info: StepInfo) -> Scalar:
+    """Whether a track starts: none runs, and the row suffices and is not one of a numerical failure."""
+    return row.valid & ~carry.running & sufficient & (info.status != Status.NON_FINITE)
+
+
+def with_start(carry: Carry, need: Scalar, info: StepInfo) -> StepInfo:
+    """The diagnostics of a row after which a track starts where there is `need`; `carry`: without it."""
     status = jnp.where(need, jnp.where(carry.started, Status.RESTARTED, Status.OK), info.status).astype(jnp.int8)
-    return after, info._replace(status=status)
+    return info._replace(status=status)
 
 
 def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"], few: bool) -> Any:
