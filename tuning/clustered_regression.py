@@ -15,6 +15,8 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import t as student_t
 
+from trackwright.trackers.recordings.columns import within_groups
+
 DOF = 4.0
 """Degrees of freedom of Student's t of the errors."""
 
@@ -122,8 +124,7 @@ def _in_order(rows: Rows) -> tuple[Rows, np.ndarray]:
     cells = np.unique(np.stack([rows.piece, rows.place]), axis=1, return_inverse=True)[1].ravel()
     order = np.argsort(cells, kind="stable")
     counts = np.bincount(cells)
-    within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-    kept = order[within % -(-counts[cells[order]] // MOST) == 0]
+    kept = order[within_groups(counts) % -(-counts[cells[order]] // MOST) == 0]
     return Rows(*(column[kept] for column in rows)), cells[kept]
 
 

@@ -16,7 +16,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.exchange.trajectories import Similarity
 from trackwright.trackers.recordings.checks.changes import about_vertical, transform_text
-from trackwright.trackers.recordings.checks.compared import Compared, cauchy_weights, compared, robust_fit
+from trackwright.trackers.recordings.checks.compared import Compared, cauchy_weights, compared, derivatives, robust_fit
 from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced, true_attitude
 from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -152,7 +152,7 @@ def _standard_errors(view: Compared, errors: Callable[[np.ndarray], np.ndarray],
     spread = 1.4826 * np.median(np.abs(of_groups), axis=0) * math.sqrt(groups / max(groups - n + 1, 1)) * (groups > 1)
     bias = np.maximum(spread, 0.0 if view.kind.position else view.kind.sizes("floor", e.shape[1]))
     size = np.nan_to_num(1.4826 * known_median(np.abs(e)), nan=1.0) + 1e-9
-    slopes = np.stack([(errors(x + 1e-6 * unit) - e) / 1e-6 for unit in np.eye(n)], axis=-1)
+    slopes = derivatives(errors, x, e)
     known = np.isfinite(e) & np.isfinite(slopes).all(axis=-1)
     weights = np.where(known, cauchy_weights(np.nan_to_num(e), size), 0.0)
     slopes = np.where(known[..., None], slopes, 0.0)

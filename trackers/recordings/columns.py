@@ -104,6 +104,11 @@ def stable_order(numbers: np.ndarray) -> np.ndarray:
     return np.argsort(numbers.astype(np.uint16) if numbers.max(initial=0) < 2**16 else numbers, kind="stable")
 
 
+def within_groups(counts: np.ndarray) -> np.ndarray:
+    """0, 1, 2 … (N,) in each of the groups of `counts` (g,) rows, one group after another."""
+    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
 def codes(column: pl.Series, ids: Sequence[str]) -> np.ndarray:
     """The numbers in `ids` of the ids in a column (N,)."""
     return column.cast(pl.Enum(ids)).to_physical().to_numpy()

@@ -11,7 +11,7 @@ import polars as pl
 from jaxtyping import Float, Int
 
 from trackwright.trackers.recordings.checks.readings import MOST_ROWS, known_median
-from trackwright.trackers.recordings.columns import stable_order
+from trackwright.trackers.recordings.columns import stable_order, within_groups
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors, wrapped
 from trackwright.trackers.recordings.truth import TruePaths
@@ -178,8 +178,7 @@ def compared(recording: RecordingFolder, table: str) -> Compared | None:
         values = np.concatenate([whole.values, -whole.values])
         whole = whole.changed(**twice, values=values, number=number, group=number[:, 0])
     order, counts = stable_order(whole.group * len(whole.tags) + whole.tag), np.bincount(whole.group)
-    within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-    view = whole.of_rows(order[within % np.repeat(-(-counts // MOST_OF_GROUP), counts) == 0]).later(0.0)
+    view = whole.of_rows(order[within_groups(counts) % np.repeat(-(-counts // MOST_OF_GROUP), counts) == 0]).later(0.0)
     view = _of_used(view.of_rows(np.isfinite(view.errors()).any(axis=1)), LEAST_OF_GROUP)
     return view if len(view.group) else None
 
@@ -221,6 +220,11 @@ def cauchy_weights(errors: np.ndarray, scale: float | np.ndarray) -> np.ndarray:
     return np.asarray(1.0 / (1.0 + (errors / scale) ** 2))
 
 
+def derivatives(errors: Callable[[np.ndarray], np.ndarray], x: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """The derivatives (…, k) of errors (…) by each of the numbers `x` (k,), where they are `there`."""
+    return np.stack([(errors(x + 1e-6 * unit) - there) / 1e-6 for unit in np.eye(len(x))], axis=-1)
+
+
 def robust_fit(
     errors: Callable[[np.ndarray], Float[np.ndarray, "N m"]], start: Float[np.ndarray, " k"], steps: int = 15
 ) -> tuple[Float[np.ndarray, " k"], float]:
@@ -235,7 +239,7 @@ def robust_fit(
         scale = max(1.4826 * float(np.median(np.abs(e))), 1e-9)
         weights = cauchy_weights(e, scale)
         # Where one of the two errors is unknown, as at the first time of the truth, there is no difference.
-        J = np.nan_to_num(np.stack([(errors(x + 1e-6 * unit).ravel() - raw) / 1e-6 for unit in np.eye(len(x))], axis=1))
+        J = np.nan_to_num(derivatives(lambda x: errors(x).ravel(), x, raw))
         normal, gradient = (J.T * weights) @ J, (J.T * weights) @ e
         # Damped in proportion to the largest curvature too: a height that is hardly seen would go far in one step.
         ridge = np.diag(np.diag(normal) + 0.1 * np.diag(normal).max() + 1e-12)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.recordings.checks import CheckResult
-from trackwright.trackers.recordings.columns import stable_order
+from trackwright.trackers.recordings.columns import stable_order, within_groups
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, unit_of, wrapped
 
@@ -57,8 +57,7 @@ def readings(recording: RecordingFolder, name: str, errors: bool = True) -> Read
     order = stable_order(stream)
     if len(order) > MOST_ROWS:
         counts = np.bincount(stream)
-        within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-        order = order[within < MOST_ROWS // np.count_nonzero(counts)]
+        order = order[within_groups(counts) < MOST_ROWS // np.count_nonzero(counts)]
     times, measured = rows.times[order], measured.of_rows(order)
     differences = np.full(measured.values.shape, np.nan)
     if errors and len(recording.paths.times) and kind.averaged and kind.predicted is not None:

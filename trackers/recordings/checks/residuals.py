@@ -97,7 +97,7 @@ def check_residuals(view: Compared) -> Iterator[CheckResult]:
     A warning where the azimuths of all stations are off to one side by more than a station's own error.
     """
     kind, found = view.kind, residuals(view)
-    unit, factor, digits = ("°", np.degrees(1.0), 1) if kind.angles else (f" {kind.unit}", 1.0, 2)
+    (unit, factor), digits = kind.shown, 1 if kind.angles else 2
     bias, turned = factor * found.bias, found.bias[np.isfinite(found.bias[:, 0]), 0]
     one_side = kind.angles and len(turned) > 0 and abs(np.sign(turned).sum()) == len(turned)
     if one_side and np.abs(turned).min() >= kind.columns[0].bias:
