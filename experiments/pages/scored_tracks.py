@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.text.wording import length_unit
+from trackwright.experiments.text.wording import SHOWN, length_unit
 from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.data.seconds import zero_of
@@ -242,6 +242,6 @@ def drawn_of(rmse: np.ndarray, angles: bool, most: int = DRAWN) -> dict[int, str
     ranked = [k for k in np.argsort(-np.nan_to_num(rmse, nan=-1.0), kind="stable").tolist() if np.isfinite(rmse[k])]
     if len(rmse) <= most or len(ranked) < 3:
         return dict.fromkeys(range(min(len(rmse), most)), "")
-    unit, scale = ("°", 180 / np.pi) if angles else length_unit(float(rmse[ranked[0]]))
+    unit, scale = SHOWN["rad"] if angles else length_unit(float(rmse[ranked[0]]))
     chosen = {"worst": ranked[0], "median": ranked[(len(ranked) - 1) // 2], "best": ranked[-1]}
     return {k: f"{word} of {len(ranked)}, RMSE {scale * rmse[k]:.3g} {unit}" for word, k in chosen.items()}

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 import polars as pl
-from scipy.stats import chi2
 
+from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.wording import counted
@@ -140,7 +140,7 @@ def write_rrd(
             axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
             shapes["ellipsoid 95 %"] = rr.Ellipsoids3D.columns(
                 centers=positions,
-                half_sizes=np.sqrt(np.maximum(values, 0.0) * chi2.ppf(0.95, 3)),
+                half_sizes=np.sqrt(np.maximum(values, 0.0) * chi_square_quantile(0.95, 3)),
                 quaternions=np.roll(quaternions_of(axes), -1, axis=1),
             )
         times = [rr.TimeColumn("t_s", duration=track.poses.times)]

@@ -15,7 +15,7 @@ from trackwright.experiments.pages.charts.floor import PlanPath, natural, plan, 
 from trackwright.experiments.pages.charts.residuals import Residuals, error_map, residual_charts
 from trackwright.experiments.pages.charts.style import Chart, Line, band, broken_at_gaps, rule
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, drawn_of
-from trackwright.experiments.text.wording import Unit, length_unit
+from trackwright.experiments.text.wording import SHOWN, length_unit
 from trackwright.trackers.core.data.consistency import chi_square_probability
 from trackwright.trackers.core.data.seconds import time_label
 from trackwright.trackers.core.errors import UnusableInput
@@ -108,7 +108,7 @@ def error_cdf(scored: ScoredRecording | Mapping[str, ScoredRecording]) -> Chart:
         errors = {"horizontal": first.miss, "3-D": np.sqrt((first.errors**2).sum(axis=1))}
     known = {name: values[np.isfinite(values)] for name, values in errors.items() if np.isfinite(values).any()}
     furthest = max(float(np.quantile(values, 0.995)) for values in known.values()) or 1.0
-    unit = Unit("°", 180 / np.pi) if first.angles else length_unit(furthest / 2)
+    unit = SHOWN["rad"] if first.angles else length_unit(furthest / 2)
     curves = []
     for name, values in known.items():
         curve = Curve.of(name, unit.factor * values)
