@@ -11,16 +11,16 @@ from trackwright.experiments.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-    "trackers": 28_615,
+    "trackers": 28_605,
     "sim": 2_670,
-    "tuning": 6_025,
+    "tuning": 6_015,
     "experiments": 12_975,
     "trackwright": 30,
     "tests": 32_930,
 }
 """The most lines of Python of each folder at the top."""
 
-PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 50_310, 345, 46_400, 13
+PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 50_290, 345, 46_400, 13
 
 
 def _files(*suffixes: str) -> list[Path]:

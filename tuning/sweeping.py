@@ -124,9 +124,9 @@ def sweep(
     """The objective on the grid spanned by `over`: one or two patterns of tunables with their values.
 
     All matches of a pattern are tied. A particle filter runs `repeats` times with other random numbers, any other
-    tracker once. `report` gets the number of grid points done since the last call. `weights`: of the
-    trajectories of each batch, default 1. Raises ValueError for a pattern
-    without match or whose matches can't be tied, for values outside a constraint, and for more than two patterns.
+    tracker once. `report` gets the number of grid points done since the last call. `weights`: of the trajectories of
+    each batch, default 1. Raises ValueError for a pattern without match or whose matches can't be tied, for values
+    outside a constraint, and for more than two patterns.
     """
     parameters = swept_parameters(tracker, list(over))
     grids = [np.asarray(values, float) for values in over.values()]
@@ -135,12 +135,8 @@ def sweep(
     points = grid_vectors(parameters, grids)
     repeats = repeats if problem.stochastic else 1
     values = np.stack([comparable_values(problem, points, repeat, report) for repeat in range(repeats)])
-    return Sweep(
-        parameters,
-        grids,
-        values.reshape(repeats, *map(len, grids)),
-        points.shape[0] * repeats * problem.n_trajectories,
-    )
+    runs = len(points) * repeats * problem.n_trajectories
+    return Sweep(parameters, grids, values.reshape(repeats, *map(len, grids)), runs)
 
 
 def comparable_values(

@@ -44,7 +44,7 @@ from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, conten
 from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, held, json_text, write_whole
 from trackwright.trackers.recordings.checks.all_checks import require_sound
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
-from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS
+from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text
 
 FINISHED, ERRORS = "tracked.json", "tracked.parquet"
 """The file written last for a recording, and its errors, which the percentiles of all are taken from."""
@@ -265,7 +265,7 @@ def _write_run(name: str, of: Sequence[tuple[Path, Summary]], out: Path, store: 
     filled = [pl.DataFrame(level, infer_schema_length=None).to_dicts() for level in levels]
     evaluation = tw.Evaluation(summaries[0]["bearing"], metrics(whole).row(0, named=True), *filled)
     write_whole(out / EVALUATION, to_json(evaluation))
-    write_whole(out / SOURCES, "".join(f"{path.resolve()}\n" for path, _ in of))
+    write_whole(out / SOURCES, sources_text(path for path, _ in of))
     for table in (TRACKS, EVENTS):
         atomic_write(out / table, partial(rows(table).sink_parquet, compression_level=1))
     endings = sum((Counter(x["endings"]) for x in summaries), Counter[str]())

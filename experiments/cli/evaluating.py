@@ -24,7 +24,7 @@ from trackwright.trackers.evaluation.evaluate import (
 from trackwright.trackers.recordings.archives import read_archive
 from trackwright.trackers.recordings.atomic import held, json_text, write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks, require_sources
+from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, require_sources
 
 COMPARISON = "comparison.html"  # the page that compares runs
 
@@ -33,10 +33,7 @@ def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
     """Evaluates an output folder of `track`, prints the errors and writes evaluation.json; the exit code."""
     tracks = options.used.part.of_estimates(read_tracks(folder))
     folders = prepared(options.truth or require_sources(folder), Readings(), check=False)
-    if options.fail_if is not None:
-        condition_of(options.fail_if, metric_names(tracks))
-    evaluation = evaluate(tracks, folders)
-    write_whole(folder / EVALUATION, to_json(evaluation))
+    evaluation = _evaluated(folder, tracks, folders, options)
     print(to_json(evaluation) if options.json else to_text(evaluation, terminal_width()), end="")
     return code_of(evaluation, options.fail_if)
 
@@ -49,16 +46,25 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
         for (tracker,), of in rows.group_by("tracker", maintain_order=True):
             folder = out / str(tracker) if several else out
             tracks = options.used.part.of_estimates(read_tracks(folder))
-            if options.fail_if is not None:
-                condition_of(options.fail_if, metric_names(tracks))
-            evaluation = evaluate(tracks, [truths[name] for name in of["recording"] if name in truths])
-            write_whole(folder / EVALUATION, to_json(evaluation))
+            known = [truths[name] for name in of["recording"] if name in truths]
+            evaluation = _evaluated(folder, tracks, known, options)
             print(archive_text(evaluation, terminal_width()), end="")
             run.put({str(tracker): content(evaluation)})
             failed |= bool(code_of(evaluation, options.fail_if, f"{tracker}: "))
     for line in refused:
         notice(f"not evaluated: {line}")
     return 1 if failed else LEFT_OUT if refused else 0
+
+
+def _evaluated(
+    folder: Path, tracks: pl.DataFrame, truths: Sequence[RecordingFolder], options: EvaluateOptions
+) -> Evaluation:
+    """The metrics of the tracks in a folder, written there; the condition of `--fail-if` is read before."""
+    if options.fail_if is not None:
+        condition_of(options.fail_if, metric_names(tracks))
+    evaluation = evaluate(tracks, truths)
+    write_whole(folder / EVALUATION, to_json(evaluation))
+    return evaluation
 
 
 def code_of(evaluation: Evaluation, fail_if: str | None, whose: str = "") -> int:
@@ -76,7 +82,6 @@ def print_comparison(
     """Prints the comparison of the runs in these folders, and writes its page and figures into the folder `out`.
     `kind`: the ending of the figures, None for none. `playback`: another page beside it, which it names."""
     # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
-    from trackwright.experiments.pages.charts.drawing import write_charts
     from trackwright.experiments.pages.reports.comparison import (
         WIDTH,
         comparison,
@@ -98,7 +103,12 @@ def print_comparison(
     if out is None:
         return
     path, charts = output_folder(out) / COMPARISON, comparison_charts(runs)
-    written = [] if kind is None else write_charts(out, charts, kind, f"{path.stem}-")
+    written = list[str]()
+    if kind is not None:
+        # matplotlib takes a third of a second to import.
+        from trackwright.experiments.pages.charts.drawing import write_charts
+
+        written += write_charts(out, charts, kind, f"{path.stem}-")
     if page:
         written.insert(0, write_comparison(path, [run.name for run in runs], tables, charts, sys.argv, playback).name)
     if written and not json:
@@ -131,15 +141,16 @@ def _write(
     out: Path, text: str, evaluation: Evaluation, tracks: pl.DataFrame, folders: Sequence[RecordingFolder], source: str
 ) -> str:
     """Writes the files of `--out`; in words, which."""
-    from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
+    from trackwright.experiments.pages.reports.pages import typed
+    from trackwright.experiments.pages.reports.track import NO_EVENTS, PAGE, run_data, write_track_page
     from trackwright.experiments.pages.scored_tracks import ScoredTracks
+    from trackwright.trackers.recordings.tracks_table import SOURCES, sources_text
 
     write_whole(out / EVALUATION, text)
     write_whole(out / TRACKS, tracks)
-    if paths := [folder.path.resolve() for folder in folders if folder.path is not None and folder.path.is_dir()]:
-        write_whole(out / SOURCES, "".join(f"{path}\n" for path in paths))
+    if paths := [folder.path for folder in folders if folder.path is not None and folder.path.is_dir()]:
+        write_whole(out / SOURCES, sources_text(paths))
     scored = ScoredTracks(rows_of(tracks, folders), folders, ())
-    none = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
-    run = run_data(scored, none, evaluation, source)
-    write_track_page(out / PAGE, [run], " ".join(["trackwright", *sys.argv[1:]]), "evaluate")
+    run = run_data(scored, NO_EVENTS, evaluation, source)
+    write_track_page(out / PAGE, [run], typed(sys.argv), "evaluate")
     return f"wrote {out}: {PAGE}, {EVALUATION}, and {TRACKS} as compared"

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Tracker
+from trackwright.experiments.cli.options import File, Numbers, Tracker, TrackOptions
 
 Format = Literal["tum", "kitti", "csv", "ros2", "rrd", "c"]
 
@@ -43,18 +43,15 @@ def export(
 
 def _export_c(run: Path, out: Path, tag: str | None, tracker: str | None, noise: Path | None, force: bool) -> int:
     from trackwright.trackers.c_source import write_c
-    from trackwright.trackers.catalogue import build, fitting, run_files
+    from trackwright.trackers.catalogue import build, fitting
     from trackwright.trackers.recordings.archives import require_new
     from trackwright.trackers.recordings.folder import read_recording
     from trackwright.trackers.recordings.selection import Selection
-    from trackwright.tuning.tuned_file import read_tuned
 
     require_new(out, "tracker.c", force)
-    tuned = None if noise is None else read_tuned(noise)
-    name = tracker or (None if tuned is None else tuned.tracker)
-    run_files(name)
+    options = TrackOptions(out=out.parent, numbers=Numbers(tracker=tracker), noise=noise)
+    options.read()
     folder = Selection(() if tag is None else (tag,)).of(read_recording(run))
-    named = build(name or fitting(folder), folder)
-    written = write_c(named if tuned is None else tuned.of(named, noise), folder, out)
+    written = write_c(options.valued(build(options.named or fitting(folder), folder)), folder, out)
     print(f"wrote {', '.join(map(str, written))}")
     return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -20,6 +19,7 @@ from trackwright.experiments.cli.console import (
     write_manifest,
 )  # fmt: skip
 from trackwright.experiments.cli.options import TrackOptions, config, file_format
+from trackwright.experiments.pages.reports.pages import typed
 from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.text.evaluation_text import content, to_json, to_text
@@ -37,7 +37,7 @@ from trackwright.trackers.evaluation.scored_run import ScoredRun
 from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.recordings.archives import RESULTS
 from trackwright.trackers.recordings.atomic import Content, write_whole
-from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS
+from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text
 from trackwright.trackers.recordings.trajectories import known_height
 
 
@@ -57,7 +57,7 @@ def named_runs(options: TrackOptions) -> list[str]:
 
 def files_of(found: ScoredRun, evaluation: tw.Evaluation) -> dict[str, Content]:
     """The files of a run folder."""
-    paths = "".join(f"{folder.path.resolve()}\n" for folder in found.folders if folder.path is not None)
+    paths = sources_text(folder.path for folder in found.folders)
     return {TRACKS: found.tracks.table, EVENTS: found.events, SOURCES: paths, EVALUATION: to_json(evaluation)}
 
 
@@ -217,4 +217,4 @@ def write_shown(
 
 
 def _write_page(out: Path, pages: Sequence[Mapping[str, Any]]) -> None:
-    write_track_page(out / PAGE, pages, shlex.join(["trackwright", *sys.argv[1:]]))
+    write_track_page(out / PAGE, pages, typed(sys.argv))

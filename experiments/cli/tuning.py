@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,12 +19,13 @@ from trackwright.experiments.jobs.fits import checked_bounds, cross_fitted, kept
 from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart, sweep_plot
 from trackwright.experiments.pages.reports import before_after as changes
 from trackwright.experiments.pages.reports import tuning as pages
-from trackwright.experiments.pages.reports.pages import write_page
+from trackwright.experiments.pages.reports.pages import typed, write_page
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Advance, notice
 from trackwright.trackers.catalogue import fitting, spec_of
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.evaluation.cautions import mirror_cautions
+from trackwright.trackers.evaluation.evaluate import with_truth
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.input_file import identity
 from trackwright.tuning import parameters as numbers
@@ -143,7 +143,7 @@ def judged(fitted: Fitted, before: pl.DataFrame) -> changes.Compared:
     count = len(pages.recording_names(data.training))
     part = f"{len(shown)} of {count} " if len(shown) < count else ""
     about = "held-out recordings" if data.held_out else f"{part}recording{'s' if count > 1 else ''} tuned on{about}"
-    return changes.compare((before, changes.with_truth(table, shown)), shown, data.dimensions, about, why_not)
+    return changes.compare((before, with_truth(table, shown)), shown, data.dimensions, about, why_not)
 
 
 def _plans(fitted: Fitted, before: pl.DataFrame) -> changes.TrackChanges:
@@ -186,7 +186,7 @@ def _write_run(
         known = replace(
             known,
             training=pages.recording_names(data.training),
-            commands=(use, shlex.join(["trackwright", *sys.argv[1:]])),
+            commands=(use, typed(sys.argv)),
             tracker=name,
             tracker_about=spec_of(name).about,
             seconds=run.seconds,

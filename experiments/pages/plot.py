@@ -10,12 +10,10 @@ from inspect import Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import polars as pl
-
 from trackwright.experiments.pages.charts import recording as charts
 from trackwright.experiments.pages.charts.style import Chart
 from trackwright.experiments.pages.reports.pages import write_page
-from trackwright.experiments.pages.reports.track import run_data, track_page
+from trackwright.experiments.pages.reports.track import NO_EVENTS, run_data, track_page
 from trackwright.experiments.pages.scored_tracks import AnyEstimates, AnyRecording, scored_tracks
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation
@@ -23,8 +21,6 @@ from trackwright.trackers.evaluation.rows import is_scored
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-NO_EVENTS = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
 
 HEIGHT = 900
 """Height of the page in a notebook, pixels; it scrolls."""

@@ -11,8 +11,8 @@ import polars as pl
 
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import SAY_SIDE
-from trackwright.trackers.evaluation.evaluate import truths_of
-from trackwright.trackers.evaluation.rows import is_scored, scored_rows
+from trackwright.trackers.evaluation.evaluate import with_truth
+from trackwright.trackers.evaluation.rows import is_scored
 from trackwright.trackers.recordings.checks.residuals import delay_against_truth
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -54,7 +54,7 @@ def mirror_cautions(named: NamedTracker, folders: Sequence[RecordingFolder]) -> 
         return []
     tracks = named.run(folders)
     told = [line for line in tracks.notices if SAY_SIDE in line]
-    return [*told, *mirrored_heights(scored_rows(tracks.table, truths_of(folders)), folders)]
+    return [*told, *mirrored_heights(with_truth(tracks.table, folders), folders)]
 
 
 def late_readings(named: NamedTracker, folders: Sequence[RecordingFolder]) -> list[str]:

@@ -127,6 +127,11 @@ def rows_of(
     return scored_rows(table, truths, stations, every)
 
 
+def with_truth(tracks: pl.DataFrame, folders: Sequence[RecordingFolder]) -> pl.DataFrame:
+    """The `scored_rows` of a table of tracks; none of them is scored without a truth."""
+    return scored_rows(tracks, truths_of(folders), {folder.name: folder.rig.stations for folder in folders})
+
+
 def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
     # Of recording folders alone jax need not be imported.
     kinds: tuple[type[RecordingFolder | Recording], ...] = (RecordingFolder,)

@@ -10,10 +10,10 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.cautions import late_readings, mirrored_heights
-from trackwright.trackers.evaluation.evaluate import Evaluation, truths_of
+from trackwright.trackers.evaluation.evaluate import Evaluation, truths_of, with_truth
 from trackwright.trackers.evaluation.events import events_of
 from trackwright.trackers.evaluation.residuals import residual_ratios
-from trackwright.trackers.evaluation.rows import is_scored, refuse_without_overlap, scored_rows
+from trackwright.trackers.evaluation.rows import is_scored, refuse_without_overlap
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.tracks import Tracks
@@ -49,7 +49,7 @@ class ScoredRun:
         tracks = named.track(batches, advance, seed=seed)
         begin("errors and events")
         truths, lines = truths_of(folders), list[str]()
-        rows = scored_rows(tracks.table, truths, {folder.name: folder.rig.stations for folder in folders})
+        rows = with_truth(tracks.table, folders)
         if is_scored(rows).any():
             lines = [*mirrored_heights(rows, folders), *late_readings(named, folders)]
         elif truths:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import polars as pl
@@ -37,6 +38,11 @@ def read_tracks(folder: Path | str) -> pl.DataFrame:
             f"{path}: the table is empty; expected one row per estimate; read the output of `trackwright track`"
         )
     return tracks
+
+
+def sources_text(paths: Iterable[Path | None]) -> str:
+    """The content of `SOURCES` for recordings at these paths; None: made in memory."""
+    return "".join(f"{path.resolve()}\n" for path in paths if path is not None)
 
 
 def source_paths(folder: Path) -> list[Path]:

@@ -14,8 +14,7 @@ from trackwright.experiments.text.tables import Section, sections_text
 from trackwright.experiments.text.wording import SHOWN, fixed, length_unit
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.comparison import Difference, paired_means
-from trackwright.trackers.evaluation.evaluate import Evaluation, truths_of
-from trackwright.trackers.evaluation.rows import scored_rows
+from trackwright.trackers.evaluation.evaluate import Evaluation, with_truth
 from trackwright.trackers.evaluation.statements import covariance_statements
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -116,11 +115,6 @@ class Compared(NamedTuple):
 def tracked(tracker: NamedTracker, folders: Sequence[RecordingFolder]) -> pl.DataFrame:
     """The estimates of the recordings, tracked as `track` does it, with their truth."""
     return with_truth(tracker.run(folders).table, folders)
-
-
-def with_truth(tracks: pl.DataFrame, folders: Sequence[RecordingFolder]) -> pl.DataFrame:
-    """Estimates of the recordings with their truth."""
-    return scored_rows(tracks, truths_of(folders), {folder.name: folder.rig.stations for folder in folders})
 
 
 def compare(

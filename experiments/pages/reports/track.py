@@ -40,6 +40,9 @@ MOST_RECORDINGS, MOST_LISTED = 60, 40
 HEADED = {"m": ", m", "m²": ", m²", "rad": ", °", "s": ", s"}
 """The units in headings of columns, by those in which metrics are stored."""
 
+NO_EVENTS = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
+"""The events of estimates that were not tracked here."""
+
 FAR_M = 500.0
 """Distance from the origin, m, from which the page holds positions relative to another one."""
 
