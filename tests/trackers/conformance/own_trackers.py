@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import count
 from typing import Any
 
 import equinox as eqx
@@ -92,17 +91,16 @@ class CountedTwice(AbstractTracker):
         return tuple(2.0 * x for x in self.tracker.accumulate(batch, score, every_row))
 
 
+@jax.tree_util.register_pytree_node_class
 class Unsettled:
-    """A label whose hash is another each time."""
+    """A label whose tree is another each time that it is flattened, so that no program is found again."""
 
-    def __hash__(self):
-        return next(_HASHES)
+    def tree_flatten(self):
+        return (), object()
 
-    def __eq__(self, other):
-        return self is other
-
-
-_HASHES = count()
+    @classmethod
+    def tree_unflatten(cls, data, children):
+        return cls()
 
 
 def averaged(change: Callable[[Output, tw.Batch], Output] = _plain, **facts: Any) -> Averaged:
