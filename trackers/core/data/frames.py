@@ -15,22 +15,12 @@ if TYPE_CHECKING:
     import pandas
 
 MOST_ROWS = 12
-"""Rows of a table that a notebook shows of an object."""
+"""Rows of a table that a terminal shows of an evaluation."""
 
 
 def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A small HTML table under a caption: at most `MOST_ROWS` rows, numbers with four significant digits."""
-    body = list(rows)
-    cells = "".join(f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in body[:MOST_ROWS])
-    more = f"<tr><td colspan={len(head)}>… {len(body) - MOST_ROWS} more</td></tr>" if len(body) > MOST_ROWS else ""
-    names = "".join(f"<th>{escape(name)}</th>" for name in head)
-    return f"<div>{escape(caption)}<table><thead><tr>{names}</tr></thead><tbody>{cells}{more}</tbody></table></div>"
-
-
-def _text(cell: Any) -> str:
-    if cell is None or cell != cell:
-        return "–"
-    return f"{cell:.4g}" if isinstance(cell, float) else escape(str(cell))
+    """A small HTML table under a caption, by polars."""
+    return frame_html(caption, pl.DataFrame(list(rows), list(head), orient="row", infer_schema_length=None))
 
 
 def recording_html(recording: Any) -> str:
@@ -42,16 +32,13 @@ def recording_html(recording: Any) -> str:
 
 
 def frame_html(caption: str, table: pl.DataFrame) -> str:
-    """The first rows of a table."""
-    shown = f"{caption}; rows 1 to {min(MOST_ROWS, table.height)} of {table.height}"
-    return html_table(shown, table.columns, table.head(MOST_ROWS).rows())
+    """The first and last rows of a table under a caption."""
+    return f"<div>{escape(caption)}{table._repr_html_()}</div>"
 
 
 def estimates_html(estimates: Any) -> str:
-    """The first rows of the table of `Estimates`; no rows after a run of a bare batch."""
-    if estimates.times is None:
-        return html_table(repr(estimates), (), ())
-    return frame_html(repr(estimates), estimates.to_polars())
+    """The table of `Estimates`; no rows after a run of a bare batch."""
+    return frame_html(repr(estimates), pl.DataFrame() if estimates.times is None else estimates.to_polars())
 
 
 def evaluation_html(evaluation: Any) -> str:
@@ -62,8 +49,8 @@ def evaluation_html(evaluation: Any) -> str:
 def evaluation_text(evaluation: Any) -> str:
     """As `evaluation_html`, in aligned columns for a terminal."""
     head, rows = _main_metrics(evaluation)
-    cells = [list(head), *([_text(cell) for cell in row] for row in rows[:MOST_ROWS])]
-    lines = text_lines(cells, "<<" + ">" * (len(head) - 2))
+    cells = [[f"{x:.4g}" if isinstance(x, float) else str(x) for x in row] for row in rows[:MOST_ROWS]]
+    lines = text_lines([list(head), *cells], "<<" + ">" * (len(head) - 2))
     more = [f"… {len(rows) - MOST_ROWS} more"] if len(rows) > MOST_ROWS else []
     return "\n".join([*lines, *more, *evaluation.statements])
 
