@@ -1,7 +1,7 @@
 """The consistency of reported covariances with errors (Bar-Shalom 2001, section 5.4), and the chi-square distribution.
 
-    e  error, estimate − truth, (N, d)        P  reported covariance, (N, d, d)
-    NEES  eᵀP⁻¹e, normalised estimation error squared        NIS  the same of an innovation
+e  error, estimate − truth, (N, d)        P  reported covariance, (N, d, d)
+NEES  eᵀP⁻¹e, normalised estimation error squared        NIS  the same of an innovation
 """
 
 from __future__ import annotations
