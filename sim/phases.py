@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from trackwright.sim.keys import Keys, normals, stream, uniforms
-from trackwright.trackers.aoa.layout import SPEED_OF_LIGHT
+from trackwright.trackers.aoa.phases import SPEED_OF_LIGHT
 from trackwright.trackers.core.model.rig import Station
 
 

@@ -20,7 +20,7 @@ from trackwright.sim.paths import PathFunction, hand_motion
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.uwb_imu.ranging import SPEED_OF_LIGHT, double_sided, single_sided
+from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT, double_sided, single_sided
 
 Ranges = Float[np.ndarray, "n T anchors"]
 

@@ -24,7 +24,7 @@ from trackwright.sim.phases import (
 )
 from trackwright.sim.ranging import SimulatedRanges
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
-from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
+from trackwright.trackers.aoa.phases import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.recordings.folder import RecordingFolder
 

@@ -61,11 +61,10 @@ from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.calibration import UNCALIBRATED, Calibration
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectory, cut
-from trackwright.trackers.uwb_imu.body import BodyState, TurningBody
+from trackwright.trackers.uwb_imu.body import BodyState, TurningBody, Wheels
 from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
-from trackwright.trackers.uwb_imu.wheels import Wheels
 
 TAGS, ROWS = 8, 64
 

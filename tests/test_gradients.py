@@ -30,6 +30,7 @@ from tests.oracles.quadrature import (
     kalman_fixes,
 )
 from trackwright.trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.baselines.floor import Walls
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
@@ -43,7 +44,6 @@ from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import PathOutputMap
 from trackwright.trackers.mhk.fusion import chain_predicted, chain_updated
 from trackwright.trackers.parts import fixes as parts
-from trackwright.trackers.parts.walls import Walls
 
 PARAMETERS = {
     "motion.sigma_a": 1.0,

@@ -14,11 +14,11 @@ from trackwright.trackers.aoa.cascade import cascade_tracker as cascade_tracker
 from trackwright.trackers.aoa.das import DelayAndSum as DelayAndSum
 from trackwright.trackers.aoa.direct import direct_tracker as direct_tracker
 from trackwright.trackers.aoa.fusion import bearing_tracker as bearing_tracker
+from trackwright.trackers.baselines.fixes import MovingWindow as MovingWindow
 from trackwright.trackers.baselines.fixes import fix_tracker as fix_tracker
 from trackwright.trackers.baselines.fixes import singer_tracker as singer_tracker
 from trackwright.trackers.baselines.switching import mirror_tracker as mirror_tracker
 from trackwright.trackers.baselines.switching import switching_tracker as switching_tracker
-from trackwright.trackers.baselines.windows import MovingWindow as MovingWindow
 from trackwright.trackers.c_source import c_source as c_source
 from trackwright.trackers.catalogue import TRACKERS as TRACKERS
 from trackwright.trackers.catalogue import build as build

@@ -34,7 +34,7 @@ from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.cautions import level_caution
 from trackwright.trackers.evaluation.events import EVENTS
 from trackwright.trackers.evaluation.scored_run import ScoredRun
-from trackwright.trackers.programs.process_settings import give_back
+from trackwright.trackers.programs.program_cache import give_back
 from trackwright.trackers.recordings.archives import RESULTS
 from trackwright.trackers.recordings.atomic import Content, write_whole
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text

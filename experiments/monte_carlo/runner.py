@@ -21,7 +21,7 @@ from trackwright.experiments.monte_carlo.results import NAMES, Results
 from trackwright.experiments.monte_carlo.sources import PortableStudy
 from trackwright.experiments.monte_carlo.store import IDENTITY, ChunkStore, Part, packed
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.programs.process_settings import keep
+from trackwright.trackers.programs.program_cache import keep
 
 CHUNKS_PER_DEVICE = 4  # chunks for which another device is used: every device compiles the trackers again
 Advance = Callable[..., None]

@@ -17,9 +17,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, Particles, particle_residuals
+from trackwright.trackers.core.filters.particle.filter import (
+    AbstractParticleFilter,
+    Particles,
+    normal_log_density,
+    particle_residuals,
+)
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
-from trackwright.trackers.core.filters.particle.score import normal_log_density
 from trackwright.trackers.core.model.algebra import Scalar, Vector, total, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Inputs

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trackwright.experiments.lab.papers.will_2020.fit_array_layout import SMALLEST_SPACING, TABLE_1_DEG, fitted_layout
-from trackwright.trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH, boresight_bounds
+from trackwright.trackers.aoa.phases import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH, boresight_bounds
 
 
 def _bounds_by_pseudo_inverse(antennas):

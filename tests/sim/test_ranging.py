@@ -15,7 +15,7 @@ from trackwright.sim.ranging import (
     two_way_ranges,
 )
 from trackwright.trackers.parts.range_rows import range_trajectories
-from trackwright.trackers.uwb_imu.ranging import SPEED_OF_LIGHT
+from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT
 
 TAGS, ROWS = 40, 100
 KEYS = trajectory_keys(0, np.arange(TAGS))

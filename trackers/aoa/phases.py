@@ -1,4 +1,4 @@
-"""Phase sensors of a planar array: predicted phases, and the residual of phases with an unknown common offset.
+"""Phase sensors of a planar array and the default array: predicted phases, and the residual with an unknown offset.
 
 The paper (Will et al. 2020, equations 8–17) uses all 28 wrapped differences with their singular 28 × 28 noise
 covariance. With its pseudo-inverse this equals n centred phases with independent noise, the form used here; the two
@@ -18,7 +18,7 @@ import numpy as np
 
 from trackwright.trackers.core.errors import require
 from trackwright.trackers.core.model.algebra import Scalar, Vector, compute_once, total
-from trackwright.trackers.core.model.inputs import HEIGHT, Input, Inputs
+from trackwright.trackers.core.model.inputs import HEIGHT, AnyArray, Input, Inputs
 from trackwright.trackers.core.model.motion import Noise, as_scale
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.model.sensor import (
@@ -279,3 +279,42 @@ def arctangent(sine: Scalar, cosine: Scalar) -> Scalar:
     angle = jnp.where(a > b, jnp.pi / 2 - angle, angle)
     angle = jnp.where(cosine < 0, jnp.pi - angle, angle)
     return jnp.where(sine < 0, -angle, angle)
+
+
+SPEED_OF_LIGHT = 299_792_458.0
+"""In vacuum, m/s."""
+
+DEFAULT_WAVELENGTH = SPEED_OF_LIGHT / 24e9
+"""Of the paper's 24 GHz beacon, m."""
+
+DEFAULT_ANTENNAS = np.array(
+    [
+        [-0.02194, 0.00592],
+        [-0.01902, -0.01740],
+        [0.02975, -0.01795],
+        [0.01168, -0.02000],
+        [-0.01878, -0.00221],
+        [-0.02975, 0.02000],
+        [0.01432, -0.01224],
+        [-0.01018, -0.00996],
+    ]
+)
+"""Eight antennas within ±4 cm × ±2 cm, x and y in m, in the order of antennas 1 to 8 of the paper.
+
+The figure with the true positions is lost. These are fitted: the bounds of the five antenna sets of Table 1 have the
+ratios of the printed errors; among the many such layouts this one has low ambiguity, found by
+`experiments/lab/papers/will_2020/fit_array_layout.py`.
+"""
+
+
+def boresight_bounds(antennas: AnyArray, wavelength: float = DEFAULT_WAVELENGTH, sigma_p: float = 1.0) -> np.ndarray:
+    """Cramér–Rao bounds (…, 2), rad, of azimuth and elevation at boresight from one row of phases of one array.
+
+    `antennas` (..., n, 2) in m, `sigma_p` the phase noise in rad. One unknown common offset leaves the information
+    G' (I - 11'/n) G / sigma_p², with G = 2 pi / wavelength times the positions: the scatter about their centroid.
+    """
+    centred = antennas - antennas.mean(axis=-2, keepdims=True)
+    x, y = centred[..., 0], centred[..., 1]
+    xx, yy, xy = (x * x).sum(-1), (y * y).sum(-1), (x * y).sum(-1)
+    variances = np.stack([yy, xx], axis=-1) / (xx * yy - xy * xy)[..., None]
+    return sigma_p * wavelength / (2 * np.pi) * np.sqrt(variances)

@@ -1,16 +1,24 @@
-"""Trackers of position fixes: Kalman filters of constant velocity and of Singer's model, and particles among walls."""
+"""Trackers of fixes: Kalman filters of constant velocity and of Singer's model, moving average and median."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
-from trackwright.trackers.core.model.motion import ConstantVelocity, GroundMotion
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.errors import is_count, require
+from trackwright.trackers.core.model.algebra import Vector, triangle
+from trackwright.trackers.core.model.motion import GroundMotion, Placed
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.fixes import ELSEWHERE, FIXES, PATIENT, FixSensor, FixStart
-
-if TYPE_CHECKING:
-    from trackwright.trackers.parts.walls import Walls
+from trackwright.trackers.core.run.requirements import Layout
+from trackwright.trackers.core.run.scan import Output
+from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker, Tracker
+from trackwright.trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart
+from trackwright.trackers.parts.median import nan_median
 
 
 def fix_tracker(
@@ -51,23 +59,42 @@ def singer_tracker(
     return Tracker(Singer(sigma_a, tau, n), {FIXES: sensor}, start, track_loss=PATIENT, latency_of=FIXES)
 
 
-def floor_tracker(
-    walls: Walls,
-    sigma_a: float = 1.0,
-    sigma_horizontal: float = 0.1,
-    dof: float | None = 4.0,
-    n_particles: int = 1000,
-) -> Tracker:
-    """Planar constant velocity from fixes by particles, with weight zero for a particle that crosses a wall.
+class MovingWindow(AbstractEpochwiseTracker):
+    """The mean, or the `median`, of each axis over its last `window` values, from the first value on.
 
-    The model of a planar `fix_tracker` with a floor plan (reference [25] of the thesis). `sigma_a` m/s² per √Hz,
-    `sigma_horizontal` m; `dof`: degrees of freedom of Student's t, None for normal noise. Once no particle is left the
-    track restarts at the next fix, and where later fixes agree on another place. Gradients are score-function
-    estimates: `trackers/core/filters/particle/score.py`.
+    It lags behind a moving tag by half the window. The covariance is NaN. `planar`: x and y alone. Raises UnusableInput
+    for a window below 1.
     """
-    sensor = FixSensor(sigma_horizontal, sigma_horizontal, dof)
-    start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), True, 2)
-    from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 
-    particles = ParticleFilter(n_particles, potential=walls)
-    return Tracker(ConstantVelocity(sigma_a, 2), {FIXES: sensor}, start, particles, ELSEWHERE, FIXES)
+    window: int = eqx.field(static=True)
+    median: bool = eqx.field(static=True)
+    planar: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        least = is_count(self.window) and self.window > 0
+        require(least, "MovingWindow", self.window, "a window of at least one row, as MovingWindow(9, median=True)")
+
+    def check_layout(self, layout: Layout) -> None:
+        layout.check_readings("MovingWindow", FIXES, 2 if self.planar else 3)
+
+    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
+        reading = batch.readings[FIXES]
+        axes = 2 if self.planar else 3
+        values, seen = jnp.asarray(reading.values)[:, :axes], jnp.asarray(reading.seen)[:, :axes]
+        seen = seen & jnp.asarray(batch.valid)[:, None]
+        empty = jnp.full((self.window, *values.shape[1:]), jnp.nan, values.dtype)
+        before = empty if initial is None else jnp.moveaxis(jnp.asarray(initial), 0, -1)
+
+        def step(window: Any, row: Any) -> tuple[Any, Any]:
+            value, value_seen = row
+            window = jnp.where(value_seen, jnp.concatenate([window[1:], value[None]]), window)
+            return window, nan_median(window) if self.median else jnp.nanmean(window, axis=0)
+
+        after, position = jax.lax.scan(step, before, (values, seen))
+        known = jnp.isfinite(position).all(axis=1)
+        zero = jnp.zeros_like(position[:, 0])
+        mean = Placed(Vector(*(jnp.where(known, position[:, k], 0.0) for k in range(axes))))
+        cov = tuple(zero + jnp.nan for _ in triangle(axes))
+        status = jnp.where(jnp.asarray(batch.valid), jnp.where(known, Status.OK, Status.WAITING), Status.PADDING)
+        output = Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8))
+        return output, jnp.moveaxis(after, -1, 0)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trackwright.trackers.baselines.fixes import fix_tracker, floor_tracker, singer_tracker
+from trackwright.trackers.baselines.fixes import fix_tracker, singer_tracker
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
@@ -20,7 +20,7 @@ from trackwright.trackers.recordings.trajectories import Trajectories, Trajector
 
 # The trackers beside fix-kf, which most recordings get, are imported where one is built.
 if TYPE_CHECKING:
-    from trackwright.trackers.parts.walls import Walls
+    from trackwright.trackers.baselines.floor import Walls
 
 COPLANAR = 0.5
 """Largest difference between the heights of anchors that count as coplanar, m."""
@@ -69,7 +69,7 @@ def floor_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
 
 def walls_of(folder: RecordingFolder) -> Walls:
     """The folder's floor plan; raises UnusableInput if there is none or it is invalid."""
-    from trackwright.trackers.parts.walls import Walls
+    from trackwright.trackers.baselines.floor import Walls
 
     rig = folder.rig
     if rig.walls is None and rig.outline is None:
@@ -94,6 +94,12 @@ def _floor_geometry(trajectory: Trajectory) -> Hashable:
     return np.asarray(walls.segments).tobytes(), np.asarray(walls.outline).tobytes()
 
 
+def _floor(trajectory: Trajectory, planar: bool) -> Tracker:
+    from trackwright.trackers.baselines.floor import floor_tracker
+
+    return floor_tracker(walls_of(trajectory.folder))
+
+
 def _switching(trajectory: Trajectory, planar: bool) -> Tracker:
     from trackwright.trackers.baselines.switching import switching_tracker
 
@@ -114,7 +120,7 @@ def _unknown_latency(build: Callable[[Trajectory, bool], Tracker]) -> Callable[[
 
 def _window(median: bool) -> Callable[[Trajectory, bool], AbstractTracker]:
     def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-        from trackwright.trackers.baselines.windows import MovingWindow
+        from trackwright.trackers.baselines.fixes import MovingWindow
 
         return MovingWindow(WINDOW, median=median, planar=planar)
 
@@ -128,7 +134,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         TrackerSpec,
         lacks=lacks_floor_plan,
         trajectories=floor_trajectories,
-        build=_unknown_latency(lambda trajectory, planar: floor_tracker(walls_of(trajectory.folder))),
+        build=_unknown_latency(_floor),
         geometry=_floor_geometry,
         planar=lambda trajectory, free_height: True,
     ),

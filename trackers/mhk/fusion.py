@@ -29,8 +29,7 @@ from trackwright.trackers.core.model.keys import RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion, Kinematic, Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.mhk.accelerations import AccelerationSphere
-from trackwright.trackers.mhk.azimuths import mean_acceleration
+from trackwright.trackers.mhk.accelerations import AccelerationSphere, mean_acceleration
 
 
 class MhkBelief(NamedTuple):

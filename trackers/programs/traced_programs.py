@@ -29,11 +29,11 @@ from jax.experimental import serialize_executable
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.jax_private import trace_settings
-from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.programs.program_cache import (
     ProgramStore,
     cache_programs,
     compiling_anew,
+    give_back,
     processor,
     store_in_use,
 )

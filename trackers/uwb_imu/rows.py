@@ -38,17 +38,15 @@ from trackwright.trackers.recordings.trajectories import (
     known_heights,
     trajectories_of,
 )
-from trackwright.trackers.uwb_imu.body import LASTS, body_tracker
+from trackwright.trackers.uwb_imu.body import LASTS, ODOMETRY, Wheels, body_tracker, odometry_inputs
 from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories, lacks_differences
 from trackwright.trackers.uwb_imu.differences import TDOA, difference_levels, difference_tracker
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
-from trackwright.trackers.uwb_imu.imu_inputs import imu_inputs, tilting_tags, to_level_axes
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker, inertial_tracker
 from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
-from trackwright.trackers.uwb_imu.rows_between import with_rows_between
+from trackwright.trackers.uwb_imu.rows_between import imu_inputs, tilting_tags, to_level_axes, with_rows_between
 from trackwright.trackers.uwb_imu.strapdown import ARM
 from trackwright.trackers.uwb_imu.trilateration import trilateration_tracker
-from trackwright.trackers.uwb_imu.wheels import ODOMETRY, Wheels, odometry_inputs
 
 GRAVITY = 9.81
 """m/s²."""

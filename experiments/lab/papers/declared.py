@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.trackers.baselines.windows import MovingWindow
+from trackwright.trackers.baselines.fixes import MovingWindow
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.trajectories import Trajectory

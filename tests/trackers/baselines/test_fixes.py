@@ -10,14 +10,14 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman, van_loan
-from trackwright.trackers.baselines.fixes import fix_tracker, floor_tracker, singer_tracker
+from trackwright.trackers.baselines.fixes import fix_tracker, singer_tracker
+from trackwright.trackers.baselines.floor import Walls, floor_tracker
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import GroundMotion, Kinematic
 from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor
-from trackwright.trackers.parts.walls import Walls
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 
 LATENCY, SIGMA_A, SIGMA_Z = 0.35, 0.8, 0.2

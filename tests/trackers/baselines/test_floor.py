@@ -5,12 +5,12 @@ import polars as pl
 import pytest
 
 from tests.in_process import PLAIN, trackwright
+from trackwright.trackers.baselines.floor import Walls
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import Placed
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.parts.walls import Walls
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 
 OUTLINE = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 8.0], [10.5, 8.0], [10.5, 1.5], [0.0, 1.5]])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackwright.trackers.baselines.windows import MovingWindow
+from trackwright.trackers.baselines.fixes import MovingWindow
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.parts.fixes import FIXES

@@ -9,8 +9,7 @@ import pytest
 
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.tunable import freeze
-from trackwright.trackers.mhk.accelerations import AccelerationSphere
-from trackwright.trackers.mhk.azimuths import mean_acceleration
+from trackwright.trackers.mhk.accelerations import AccelerationSphere, mean_acceleration
 from trackwright.trackers.mhk.fusion import AccelerationFilter, chain_predicted, chain_updated
 
 STATIONARY = np.array([0.5, 0.3, 0.2])

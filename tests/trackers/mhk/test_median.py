@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
-from trackwright.trackers.mhk.median import LimitedMedian, speed_limited
+from trackwright.trackers.mhk.tracker import LimitedMedian, speed_limited
 from trackwright.trackers.parts.fixes import FIXES
 
 

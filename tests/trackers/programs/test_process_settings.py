@@ -8,12 +8,12 @@ import sys
 
 import pytest
 
-from trackwright.trackers.programs.process_settings import give_back
+from trackwright.trackers.programs.program_cache import give_back
 
 FAULTS = """
 import resource, sys
 import numpy as np
-from trackwright.trackers.programs.process_settings import keep
+from trackwright.trackers.programs.program_cache import keep
 if sys.argv[1] == "kept":
     keep()
 np.ones(200_000)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackwright.trackers.uwb_imu.imu_inputs import REST_ACCEL_STD, REST_GYRO_STD, imu_inputs, to_level_axes
+from trackwright.trackers.uwb_imu.rows_between import REST_ACCEL_STD, REST_GYRO_STD, imu_inputs, to_level_axes
 
 
 def test_a_sample_is_held_for_a_while_and_a_gap_is_a_gap():

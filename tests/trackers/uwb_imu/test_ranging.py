@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackwright.trackers.uwb_imu.ranging import SPEED_OF_LIGHT, double_sided, single_sided
+from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT, double_sided, single_sided
 
 DISTANCE = np.array([0.5, 3.0, 25.0, 180.0])
 FLIGHT = DISTANCE / SPEED_OF_LIGHT

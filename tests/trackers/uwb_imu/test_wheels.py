@@ -19,8 +19,7 @@ from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import DriftingBiases
 from trackwright.trackers.parts.ranges import RangeSensor
-from trackwright.trackers.uwb_imu.body import BodyState, TurningBody
-from trackwright.trackers.uwb_imu.wheels import HOLD_S, Wheels, odometry_inputs
+from trackwright.trackers.uwb_imu.body import HOLD_S, BodyState, TurningBody, Wheels, odometry_inputs
 
 PLACE = DriftingBiases(0, 0.5, 0.5, 5.0, 0.1, 10.0, 5.0)
 SLIP, YAW = 0.02, 0.05

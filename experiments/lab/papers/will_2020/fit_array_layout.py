@@ -1,6 +1,6 @@
 """Fit of the default array: positions of eight antennas whose Cramér–Rao bounds have the ratios of Table 1's errors.
 
-`fitted_layout` gives the layout of trackers/aoa/layout.py. Gauss-Newton iterations over seeded starts find some hundred
+`fitted_layout` gives the layout of trackers/aoa/phases.py. Gauss-Newton iterations over seeded starts find some hundred
 exact layouts; of these, scaled to fill the box, the one with the lowest side lobes is chosen, so that a beamformer
 rarely starts a track on a wrong lobe. The printed errors are a filter's, not bounds: this is a fit, not a
 reconstruction of the array.
@@ -8,7 +8,7 @@ reconstruction of the array.
 
 import numpy as np
 
-from trackwright.trackers.aoa.layout import DEFAULT_WAVELENGTH, boresight_bounds
+from trackwright.trackers.aoa.phases import DEFAULT_WAVELENGTH, boresight_bounds
 
 TABLE_1_DEG = {
     (1, 2, 3, 4, 5, 6, 7, 8): (0.583, 0.893),

@@ -25,7 +25,7 @@ from trackwright.experiments.lab.papers.will_2020.fit_array_layout import HALF_B
 from trackwright.experiments.monte_carlo import ExpectedResult
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.sim.stations import work_station
-from trackwright.trackers.aoa.layout import DEFAULT_WAVELENGTH
+from trackwright.trackers.aoa.phases import DEFAULT_WAVELENGTH
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,22 @@
 """The bootstrap particle filter (Gordon, Salmond and Smith 1993) over named states, for one trajectory and one step.
 
 Leaves of the states end with an axis of N particles. Weights are kept as logarithms. A step resamples first, then
-propagates, then weights, so that estimates are taken before resampling. Random numbers come from Threefry-2x32
-(Salmon et al. 2011), unrolled: `jax.random` has the same generator in a loop that passes memory five times; XLA fuses
-the unrolled form into one pass.
+propagates, then weights, so that estimates are taken before resampling. Random numbers come from Threefry-2x32 (Salmon
+et al. 2011), unrolled: `jax.random` has the same generator in a loop that passes memory five times; XLA fuses the
+unrolled form into one pass.
+
+The derivative is in score form. A draw has no derivative through a wall or through the choice of an ancestor, but its
+density has one. So states are held fixed, and the derivative of a log-weight is the accumulated score ∂ log p(noise
+draws) of its particle, passed from ancestor to offspring; a weighted sum then has the derivative of its expectation
+(Poyiadjis, Doucet and Singh 2011, section 2.2; with a discount MOP-α, Tan, Hooker and Ionides 2024). Values are
+unchanged, bit by bit.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
@@ -18,11 +25,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from jaxtyping import Array, DTypeLike, Float, UInt32
+from jaxtyping import Array, Bool, DTypeLike, Float, UInt32
 
 from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
-from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO, Weights, cached_exp, effective_sample_size
-from trackwright.trackers.core.filters.particle.score import normal_log_density, resample_with_score, with_score
+from trackwright.trackers.core.filters.particle.resampling import (
+    LOG_ZERO,
+    Weights,
+    cached_exp,
+    effective_sample_size,
+    resample,
+)
 from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Inputs
@@ -93,7 +105,7 @@ class ParticleFilter(AbstractParticleFilter):
     numbers have 16 bits: no noise draw exceeds 4.3 standard deviations. `output_map`: estimates are of the mapped
     quantity. `potential`: log-weights of moves, as `Walls`; they enter the log-likelihood of the next measurement.
 
-    The derivative is in score form (`score.py`); tuning the motion needs its `log_density`.
+    The derivative is in score form; tuning the motion needs its `log_density`.
     `discount`: the fraction of an ancestor's score that offspring keep (MOP-α); less variance, but a bias.
     """
 
@@ -295,3 +307,74 @@ def words(key: RawKey, streams: range, count: int) -> UInt32[Array, "2 k {count}
     stream = jax.lax.broadcasted_iota(jnp.uint32, shape, 1) + np.uint32(streams.start)
     x, y = threefry(key, jax.lax.broadcasted_iota(jnp.uint32, shape, 2), stream)
     return jnp.where(jax.lax.broadcasted_iota(jnp.uint32, shape, 0) == 0, x, y)
+
+
+@eqx.filter_custom_jvp
+def with_score(log_weights: Weights, *numbers: Any, log_density: Callable[..., Weights]) -> Weights:
+    """The log-weights (N,), unchanged, with the derivative of `log_density(*numbers)`, (N,), added to theirs.
+
+    `log_density` is called only where some of the numbers are differentiated.
+    """
+    return log_weights
+
+
+@with_score.def_jvp
+def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Weights]) -> tuple[Weights, Weights | None]:
+    value = with_score(*primals, log_density=log_density)
+    tangent, others = tangents[0], jax.tree_util.tree_leaves(tangents[1:], is_leaf=lambda x: x is None)
+    leaves, structure = jax.tree_util.tree_flatten(primals[1:])
+    differentiated = [k for k, t in enumerate(others) if t is not None]
+    if not differentiated:
+        return value, tangent
+
+    def density(*numbers: Any) -> Weights:
+        replaced = list(leaves)
+        for k, x in zip(differentiated, numbers, strict=True):
+            replaced[k] = x
+        return log_density(*jax.tree_util.tree_unflatten(structure, replaced))
+
+    score = jax.jvp(density, [leaves[k] for k in differentiated], [others[k] for k in differentiated])[1]
+    return value, score if tangent is None else tangent + score
+
+
+@eqx.filter_custom_jvp
+def resample_with_score(
+    needed: Bool[Array, ""],
+    offset: Float[Array, ""],
+    states: State,
+    log_weights: Weights,
+    weights: Weights,
+    *,
+    discount: float,
+) -> tuple[State, Weights, Weights]:
+    """`resample`, with `discount` times the ancestor's score for each offspring."""
+    return resample(needed, offset, states, log_weights, weights)
+
+
+@resample_with_score.def_jvp
+def _resample_with_score(primals: Any, tangents: Any, *, discount: float) -> tuple[Any, Any]:
+    needed, offset, states, log_weights, weights = primals
+    score = tangents[3]
+    fixed = jax.tree_util.tree_map(lambda _: None, states)
+    if score is None:
+        return resample(needed, offset, states, log_weights, weights), (fixed, None, None)
+    # The score is resampled with the particles, as if it were part of their state.
+    (states, score), log_weights, weights = resample(needed, offset, (states, score), log_weights, weights)
+    score = score if discount == 1 else jnp.where(needed, discount * score, score)
+    return (states, log_weights, weights), (fixed, score, None)
+
+
+def normal_log_density(belief: Gaussian, states: State) -> Weights:
+    """The log densities (N,), up to a constant, of states (leaves end with an axis of N) under a Gaussian belief.
+
+    A direction without variance contributes nothing; the mean must not depend on a tunable along it.
+    """
+    n = dimension(belief.mean)
+    pairs = dict(zip(triangle(n), belief.cov, strict=True))
+    L = cholesky(pairs, range(n), 16 * float(jnp.finfo(belief.cov[0].dtype).eps))
+    scale = total(-jnp.log(jnp.where(L[i, i] > 0, L[i, i], 1.0)) for i in range(n))
+
+    def density(state: State) -> Float[Array, ""]:
+        return scale - 0.5 * total(x * x for x in solve_lower(L, local(belief.mean, state)))
+
+    return jax.vmap(density, in_axes=-1, out_axes=-1)(states)

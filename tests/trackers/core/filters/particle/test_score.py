@@ -5,9 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles, resample_with_score, with_score
 from trackwright.trackers.core.filters.particle.resampling import resample
-from trackwright.trackers.core.filters.particle.score import resample_with_score, with_score
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.motion import ConstantPosition, ConstantVelocity, GroundMotion, Kinematic, Placed

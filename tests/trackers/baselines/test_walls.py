@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from trackwright.trackers.baselines.floor import Walls
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import ConstantPosition, Placed
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
 from trackwright.trackers.core.model.tunable import Constant
-from trackwright.trackers.parts.walls import Walls
 
 CORNER = [[0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]
 """Two walls that meet at the origin."""

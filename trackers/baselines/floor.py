@@ -1,4 +1,4 @@
-"""Floor plan for particle filters: a potential that removes particles whose move crosses a wall."""
+"""The floor plan as a potential that removes particles whose move crosses a wall, and the tracker of fixes with it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,34 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trackwright.trackers.core.filters.particle.filter import AbstractPotential
+from trackwright.trackers.core.filters.particle.filter import AbstractPotential, ParticleFilter
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.inputs import AnyArray
+from trackwright.trackers.core.model.motion import ConstantVelocity
+from trackwright.trackers.core.model.tunable import Scale
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.fixes import ELSEWHERE, FIXES, FixSensor, FixStart
+
+
+def floor_tracker(
+    walls: Walls,
+    sigma_a: float = 1.0,
+    sigma_horizontal: float = 0.1,
+    dof: float | None = 4.0,
+    n_particles: int = 1000,
+) -> Tracker:
+    """Planar constant velocity from fixes by particles, with weight zero for a particle that crosses a wall.
+
+    The model of a planar `fix_tracker` with a floor plan (reference [25] of the thesis). `sigma_a` m/s² per √Hz,
+    `sigma_horizontal` m; `dof`: degrees of freedom of Student's t, None for normal noise. Once no particle is left the
+    track restarts at the next fix, and where later fixes agree on another place. Gradients are score-function
+    estimates: `trackers/core/filters/particle/filter.py`.
+    """
+    sensor = FixSensor(sigma_horizontal, sigma_horizontal, dof)
+    start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), True, 2)
+    particles = ParticleFilter(n_particles, potential=walls)
+    return Tracker(ConstantVelocity(sigma_a, 2), {FIXES: sensor}, start, particles, ELSEWHERE, FIXES)
 
 
 class Walls(AbstractPotential):
