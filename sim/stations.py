@@ -72,7 +72,7 @@ def work_station(antennas: Float[np.ndarray, "n 2"] | None = None, radius: float
 
     Each faces the centre of the volume, all of which lies within 29 degrees of its boresight (at 0.4 m); the x axis of
     its array is horizontal, along the world's -x. `antennas` (n, 2), m: another array than the default one, whose
-    layout is fitted (`experiments/lab/papers/will_2020/fit_array_layout.py`). The paper prints no
+    layout is fitted (`experiments/lab/papers/will_2020/_work_stand.py`). The paper prints no
     station positions; these are chosen.
     """
     layout = DEFAULT_ANTENNAS if antennas is None else np.asarray(antennas, float)

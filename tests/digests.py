@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from trackwright.experiments.cli.console import keep_programs
-from trackwright.experiments.lab.subprocesses import recordings_folder, required_recordings
+from trackwright.experiments.lab.runner import recordings_folder, required_recordings
 
 ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out" / "digests"

@@ -17,7 +17,7 @@ import pytest
 import trackwright as tw
 
 ROOT = Path(__file__).parents[1]
-LEFT_OUT = ("experiments/lab/bench/", "experiments/lab/benchmark/", "experiments/lab/validation/")
+LEFT_OUT = ("experiments/lab/benchmark/", "experiments/lab/validation/")
 MINE = """import trackwright as tw
 
 tw.build(3, [])

@@ -1,28 +1,28 @@
 """The laboratory: `python -m trackwright.experiments.lab TABLE` measures a table; without a name, the list of them."""
 
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 from trackwright.experiments.cli.console import keep_programs
 from trackwright.experiments.cli.main import run_alone
-from trackwright.experiments.lab.runner import EVIDENCE, measure
+from trackwright.experiments.lab.runner import EVIDENCE, Case, measure
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput, near
 
 LAB = "trackwright.experiments.lab"
 TABLES = {
-    "real-recordings": "validation.real_recordings",
-    "levels": "validation.levels",
-    "nis": "validation.nis",
-    "own-levels": "validation.own_levels",
-    "generalisation": "validation.generalisation",
-    "programs": "bench.programs",
-    "commands": "bench.commands",
-    "studies": "bench.studies",
-    "gpu": "bench.programs:gpu_cases",
+    "real-recordings": "validation.real_recordings:cases",
+    "generalisation": "validation.real_recordings:generalisation_cases",
+    "levels": "validation.levels:cases",
+    "nis": "validation.nis:cases",
+    "own-levels": "validation.own_levels:cases",
+    "programs": "validation.speed:program_cases",
+    "commands": "validation.speed:command_cases",
+    "studies": "validation.speed:study_cases",
+    "gpu": "validation.speed:gpu_cases",
 }
-"""The module of each table, and the function that lists the cases, if it is not called `cases`."""
+"""The function that lists the cases of each table."""
 
 
 def lab(table: str = "", /, *, only: str = "", out: Path | None = None) -> int:
@@ -36,25 +36,24 @@ def lab(table: str = "", /, *, only: str = "", out: Path | None = None) -> int:
         out: the CSV file (default: docs/evidence/TABLE.csv).
     """
     if not table:
-        for name, target in TABLES.items():
-            module, _ = _target(target)
-            print(f"{name:18s}{(module.__doc__ or '').splitlines()[0]}")
+        for name in TABLES:
+            print(f"{name:18s}{(_cases_of(name).__doc__ or '').splitlines()[0]}")
         return 0
     if table not in TABLES:
         raise UnusableInput(f"table {table}: unknown{near(table, TABLES)}; expected one of {', '.join(TABLES)}")
-    module, function = _target(TABLES[table])
-    if ".bench." not in module.__name__:  # A benchmark measures compiling, too.
+    if not TABLES[table].startswith("validation.speed"):  # A benchmark measures compiling, too.
         keep_programs()
     file = out or EVIDENCE / f"{table}.csv"
-    failed = measure(getattr(module, function)(), file, only, notice)
+    failed = measure(_cases_of(table)(), file, only, notice)
     print(f"Written: {file}" + f"; {failed} rows have an error" * bool(failed))
     return int(bool(failed))
 
 
-def _target(target: str) -> tuple[ModuleType, str]:
-    """The module and the name of the function of a table."""
-    module, _, function = target.partition(":")
-    return import_module(f"{LAB}.{module}"), function or "cases"
+def _cases_of(table: str) -> Callable[[], Iterable[Case]]:
+    """The function that lists the cases of a table."""
+    module, _, function = TABLES[table].partition(":")
+    cases: Callable[[], Iterable[Case]] = getattr(import_module(f"{LAB}.{module}"), function)
+    return cases
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import time
 import tomllib
 from pathlib import Path
 
-from trackwright.experiments.lab.subprocesses import command, recordings_folder
+from trackwright.experiments.lab.runner import command, recordings_folder
 
 OUT = Path("out/demo")
 SIGMA_P = 0.2

@@ -1,9 +1,13 @@
-"""Measurements as cases: each is one row of a CSV, and a run goes on where the last one stopped."""
+"""Measurements as cases: each is one row of a CSV, and a run goes on where the last one stopped; fresh processes."""
+
+from __future__ import annotations
 
 import csv
 import os
 import platform
+import shlex
 import subprocess
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fnmatch import fnmatch
 from functools import cache
@@ -12,9 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.lab.subprocesses import REPOSITORY
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+"""The checkout: the folder `trackwright` in it holds links."""
 
 EVIDENCE = REPOSITORY / "docs" / "evidence"
 """Where the tables are that pages quote."""
@@ -126,3 +132,42 @@ def machine() -> dict[str, str]:
         "machine": f"{models[0] if models else platform.processor()}, {os.cpu_count()} cores",
         "commit": git.stdout.strip() or "unknown",
     }
+
+
+def recordings_folder() -> Path | None:
+    """The folder of real recordings: TRACKWRIGHT_RECORDINGS, else `../shared/recordings` beside the repository."""
+    folder = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", REPOSITORY.parent / "shared" / "recordings"))
+    return folder if folder.is_dir() else None
+
+
+def required_recordings() -> Path:
+    """The folder of real recordings; raises UnusableInput where there is none."""
+    folder = recordings_folder()
+    if folder is None:
+        raise UnusableInput(
+            "no folder of real recordings; expected ../shared/recordings or a folder named by TRACKWRIGHT_RECORDINGS"
+        )
+    return folder
+
+
+def command(*arguments: str | Path, folder: Path | None = None) -> None:
+    """Print a `trackwright` command and run it, its output to the terminal; exits with its code if it fails.
+
+    `folder`: the one it runs in; the current one by default.
+    """
+    print(f"\n$ trackwright {shlex.join(map(str, arguments))}", flush=True)
+    line = [sys.executable, "-m", "trackwright", *map(str, arguments)]
+    if code := subprocess.run(line, check=False, cwd=folder).returncode:
+        sys.exit(code)
+
+
+def new_interpreter(arguments: Sequence[str], limit_s: float) -> None:
+    """Run Python with these arguments, without the user's XLA flags.
+
+    Raises RuntimeError with the last line of its errors if it fails, and TimeoutExpired after `limit_s`.
+    """
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    line = [sys.executable, *arguments]
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=limit_s, check=False)
+    if done.returncode:
+        raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])

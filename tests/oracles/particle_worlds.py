@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from trackwright.experiments.lab.validation.own_worlds import NEVER_LOST, KnownStart
+from trackwright.experiments.lab.validation.nis import NEVER_LOST, KnownStart
 from trackwright.trackers.baselines.floor import Walls
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.filters.filter import Innovation

@@ -303,7 +303,7 @@ DEFAULT_ANTENNAS = np.array(
 
 The figure with the true positions is lost. These are fitted: the bounds of the five antenna sets of Table 1 have the
 ratios of the printed errors; among the many such layouts this one has low ambiguity, found by
-`experiments/lab/papers/will_2020/fit_array_layout.py`.
+`experiments/lab/papers/will_2020/_work_stand.py`.
 """
 
 

@@ -20,8 +20,7 @@ import polars as pl
 
 from trackwright.experiments.cli.main import run_alone
 from trackwright.experiments.lab.benchmark import problems as data
-from trackwright.experiments.lab.runner import EVIDENCE, Case, Figures, measure, read
-from trackwright.experiments.lab.subprocesses import new_interpreter
+from trackwright.experiments.lab.runner import EVIDENCE, Case, Figures, measure, new_interpreter, read
 from trackwright.experiments.lab.validation.levels import TRACKERS
 from trackwright.experiments.lab.validation.sites import paths
 from trackwright.experiments.text.tables import markdown, replace_tables

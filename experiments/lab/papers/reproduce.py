@@ -14,7 +14,7 @@ from typing import Any
 import polars as pl
 
 from trackwright.experiments.cli.main import run_alone
-from trackwright.experiments.lab.subprocesses import new_interpreter
+from trackwright.experiments.lab.runner import new_interpreter
 from trackwright.experiments.monte_carlo import Value
 from trackwright.experiments.monte_carlo.sources import available_studies, load_study
 from trackwright.experiments.text.expectations import headline, ratio_text, with_interval

@@ -32,7 +32,7 @@ WHITE = {"sigma_bias": 1e-3, "sigma_shared": 1e-3, "dof": 1e3, "positive_skew": 
 
 
 def cases() -> Iterator[Case]:
-    """Each tracker with each motion and noise."""
+    """`track --fit` on simulated readings: each tracker with each motion and noise."""
     for tracker in NOISE:
         for sigma_a in MOTIONS:
             for factor in FACTORS:

@@ -4,15 +4,21 @@ No recording is judged on a calibration, tuning or levels that have seen it. It 
 its site with the same installation; where there is none, each half of it, in time, on the other half.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from functools import lru_cache, partial
+from typing import get_args
 
 import trackwright as tw
 from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.experiments.lab.validation import levels
 from trackwright.experiments.lab.validation.sites import SITES, Site, read, recordings, same_installation, site_of
+from trackwright.experiments.pages.reports.before_after import judge, tracked
+from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.statements import verdict
 from trackwright.tuning.calibrating import by_halves
+from trackwright.tuning.priors import Kind
 
 SMOOTHED, OTHER_SITES, LATENCY = " smoothed", "other sites", "*latency*"
 NEVER_SMOOTHED = ("line-grid", "das", "trilateration-compensated")
@@ -79,3 +85,36 @@ def prepared(name: str, tracker: str, setting: str) -> tuple[list[tw.RecordingFo
     same = [other for other in others if same_installation(folder, other)]
     parts = [folder.calibrated(tw.calibrate(same))] if same else by_halves(folder)
     return parts, tw.build(tracker, parts), f"{len(same)} others" if same else "the other half"
+
+
+PLACES = {
+    "ble51-walk-*": "bearings", "starloc-*": "uwb", "rcv-drone-*": "uwb", "iasl-drone-*": "uwb", "tiers-*": "fix-kf",
+    "ngbui-line-1-*": "line-grid", "ngbui-line-2-*": "line-grid", "ngbui-line-3-*": "line-grid", "util-c1-*": "tdoa",
+}  # fmt: skip
+"""Recordings of one site each, and their tracker by default."""
+
+COUNTS = (1, 2, 3, 5)
+
+
+def generalisation_cases() -> Iterator[Case]:
+    """Values fitted to one to five recordings of a site, judged on another: by name the one after, in a circle."""
+    for pattern, tracker in PLACES.items():
+        names = recordings(pattern)
+        for count in (n for n in COUNTS if n < len(names)):
+            for k, name in enumerate(names):
+                fitted_to = (*names[k + 1 :], *names[:k])[:count]
+                for prior in get_args(Kind):
+                    measure = partial(generalisation, tracker, name, fitted_to, prior)
+                    yield Case(name, tracker, f"{prior}, fitted to {', '.join(fitted_to)}", measure)
+
+
+def generalisation(tracker: str, name: str, fitted_to: tuple[str, ...], prior: Kind) -> Figures:
+    """The log density and the errors of a recording, after and before."""
+    folder, others = read(name), [read(other) for other in fitted_to]
+    named = tw.build(tracker, [*others, folder])
+    fitted = tw.fit(named, others, options=tw.FitOptions(prior=prior)).tracker
+    sides = tracked(named, [folder]), tracked(fitted, [folder])
+    change = judge(sides, 2).recordings[name]
+    default, rmse = (Evaluation.of(side)["rmse_m"] for side in sides)
+    gain = {"gain_nats": change.value, "low": change.low, "high": change.high}
+    return {"recordings": len(others), "log_density": change.second, **gain, "rmse_m": rmse, "rmse_default_m": default}

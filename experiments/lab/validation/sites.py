@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import trackwright as tw
-from trackwright.experiments.lab.subprocesses import required_recordings
+from trackwright.experiments.lab.runner import required_recordings
 from trackwright.trackers.recordings.calibration import has_moved, has_turned
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation as Turn
 from tests.in_process import PLAIN, trackwright
 from tests.known_start import NEVER_LOST
 from tests.oracles import normal_log_density
-from trackwright.experiments.lab.validation.own_worlds import own_world
+from trackwright.experiments.lab.validation.nis import own_world
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import TRACKERS, build, fitting
 from trackwright.trackers.core.data.consistency import nees
