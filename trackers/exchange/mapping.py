@@ -20,7 +20,7 @@ from trackwright.trackers.exchange.expressions import Expression, order_in, pars
 from trackwright.trackers.exchange.text_tables import Reading, read_json, read_rows
 from trackwright.trackers.recordings.input_file import file_bytes, read_model
 from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
-from trackwright.trackers.recordings.table_file import TableFile
+from trackwright.trackers.recordings.tables import TableFile
 
 PRESETS = {path.stem: path for path in (Path(__file__).parent / "presets").glob("[!_]*.toml")}
 """The presets by name; the head of each says what it reads, the units and frames, and where anchors come from."""

@@ -14,7 +14,7 @@ from trackwright.trackers.core.errors import UnusableInput, has_control
 from trackwright.trackers.recordings.folder import RecordingFolder, read_truth, refuse_repeated
 from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE
-from trackwright.trackers.recordings.table_file import SUFFIXES
+from trackwright.trackers.recordings.tables import SUFFIXES
 
 MANY = 60  # the most recordings that are tracked together: as many as a page shows
 RECORDINGS, RESULTS = "recordings", "results.csv"

@@ -26,8 +26,7 @@ from trackwright.trackers.recordings.checks.rules import check_rows
 from trackwright.trackers.recordings.columns import TableRows, TagRows
 from trackwright.trackers.recordings.kinds import KINDS, Layout, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
-from trackwright.trackers.recordings.table_file import SUFFIXES
-from trackwright.trackers.recordings.tables import read_table
+from trackwright.trackers.recordings.tables import SUFFIXES, read_table
 from trackwright.trackers.recordings.truth import TruePaths
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, has_control
 from trackwright.trackers.recordings.input_file import file_bytes
-from trackwright.trackers.recordings.table_file import read_parquet
+from trackwright.trackers.recordings.tables import read_parquet
 
 TRACKS, EVALUATION, SOURCES = "tracks.parquet", "evaluation.json", "recordings.txt"
 """Files in the output folder of `trackwright track`: estimates, error metrics, a path of a recording per line."""
