@@ -57,8 +57,7 @@ class ScoredRun:
                 refuse_without_overlap(rows, truths)
             except UnusableInput as problem:
                 lines = [f"not evaluated: {problem}"]
-        events = events_of(tracks.table, named.spec, batches)
-        return cls(named, folders, tracks, events, rows, [*tracks.notices, *lines])
+        return cls(named, folders, tracks, events_of(tracks.table), rows, [*tracks.notices, *lines])
 
     @property
     def evaluation(self) -> Evaluation:
