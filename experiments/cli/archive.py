@@ -38,7 +38,7 @@ from trackwright.trackers.catalogue import fitting, spec_of
 from trackwright.trackers.core.errors import has_control, one_line
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.events import EVENTS
-from trackwright.trackers.evaluation.metrics import RESIDUALS, added, metrics, sums
+from trackwright.trackers.evaluation.metrics import added, metrics, sums
 from trackwright.trackers.evaluation.scored_run import silent
 from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, content_of
 from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, held, json_text, write_whole
@@ -121,7 +121,7 @@ class Tracking:
             evaluation, rows, own = found.evaluation, found.rows, runs.short(name)
             (of_recording,) = evaluation.recordings
             summary = {"tracker": name, "short": own, "endings": found.tracks.summaries, "recording": folder.name}
-            totals = sums(rows).row(0, named=True) | {ratio: of_recording[ratio] for ratio in RESIDUALS}
+            totals = sums(rows).row(0, named=True)
             parts = {"metrics": of_recording, "tracks": evaluation.tracks, "sums": totals}
             result.outcomes.append(summary | {"bearing": evaluation.bearing} | parts)
             errors = rows.filter(pl.col("why").is_null()).select("^(size_.*|nees|nees_3d)$")

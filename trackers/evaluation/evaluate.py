@@ -6,7 +6,7 @@ A metric without data (no heights, no reported covariance) is None.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ import polars as pl
 from trackwright.trackers.core.data.frames import evaluation_html, evaluation_text
 from trackwright.trackers.core.errors import UnusableInput, near, one_or_more
 from trackwright.trackers.core.wording import counted, numbered_names
-from trackwright.trackers.evaluation.metrics import RESIDUALS, added, metrics, sums
+from trackwright.trackers.evaluation.metrics import added, metrics, sums
 from trackwright.trackers.evaluation.rows import is_scored, refuse_without_overlap, scored_rows
 from trackwright.trackers.evaluation.statements import covariance_statements
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 Metrics = dict[str, Any]
 """Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
 
-Ratios = Mapping[str, tuple[float, float]]
-"""By recording, its `residual_ratios`."""
-
 
 @dataclass(frozen=True, repr=False)
 class Evaluation:
@@ -50,16 +47,10 @@ class Evaluation:
     tracks: Sequence[Metrics]
 
     @classmethod
-    def of(cls, rows: pl.DataFrame, ratios: Ratios | None = None) -> Evaluation:
+    def of(cls, rows: pl.DataFrame) -> Evaluation:
         """The metrics of scored rows; None if no row is scored."""
-        found = pl.DataFrame(
-            [(name, *both) for name, both in (ratios or {}).items()],
-            {"recording": pl.String} | dict.fromkeys(RESIDUALS, pl.Float64),
-            orient="row",
-        )
-        recordings = sums(rows, "recording").join(found, "recording", "left", maintain_order="left")
-        tracks = sums(rows, *track_keys(rows)).with_columns(**dict.fromkeys(RESIDUALS, pl.lit(None, pl.Float64)))
-        labelled = [(recordings, ["recording"]), (tracks, track_keys(rows))]
+        recordings = sums(rows, "recording")
+        labelled = [(recordings, ["recording"]), (sums(rows, *track_keys(rows)), track_keys(rows))]
         levels = [of.select(keys).hstack(metrics(of)).to_dicts() for of, keys in labelled]
         return cls(is_bearing(rows), metrics(added(recordings, rows.lazy())).row(0, named=True), *levels)
 
@@ -102,12 +93,7 @@ def evaluate(
     rows = rows_of(estimates, recordings, every)
     if not is_scored(rows).any():
         refuse_without_overlap(rows, truths_of(recordings))
-    if isinstance(estimates, pl.DataFrame):
-        return Evaluation.of(rows)
-    from trackwright.trackers.evaluation.residuals import residual_ratios
-    from trackwright.trackers.recordings.tracks import Tracks
-
-    return Evaluation.of(rows, residual_ratios(estimates) if isinstance(estimates, Tracks) else None)
+    return Evaluation.of(rows)
 
 
 def rows_of(

@@ -167,8 +167,8 @@ def columns_of(of: Collection[str]) -> set[str]:
 
 def added(parts: pl.DataFrame, rows: pl.LazyFrame) -> pl.DataFrame:
     """The sums of all from sums of parts (g,), and the quantiles of all their `rows`."""
-    most, known = {*LARGEST, *RESIDUALS}, [name for name in QUANTILES if name in parts.columns]
-    whole = parts.select(C(x).max() if x in most else C(x).sum() for x in parts.columns if parts[x].dtype != pl.String)
+    known = [name for name in QUANTILES if name in parts.columns]
+    whole = parts.select(C(x).max() if x in LARGEST else C(x).sum() for x in parts.columns if x != "recording")
     return whole.with_columns(sums(rows).select(known).collect())
 
 
@@ -244,9 +244,6 @@ def _band(name: str, end: str, space: str, dof: pl.Expr | int) -> Iterator[Metri
         yield Metric(f"{name}_{side}", words, "", band(samples, dof, z))
 
 
-RESIDUALS = ("residual_ratio_5s", "residual_part_5s")
-"""The metrics of `residual_ratios`, of recordings alone."""
-
 METRICS = {
     metric.name: metric._replace(short=short, rank=rank, page=page)
     for metric in (
@@ -269,8 +266,6 @@ METRICS = {
         *_consistency("nees_3d", 3),
         Metric("nis_ratio", "NIS per degree of freedom, 1 expected", "", C("nis") / C("dof"), right=1.0),
         *_band("nis", "_nis", "", C("dof") / C("n nis")),
-        Metric("residual_ratio_5s", "residuals' 5 s means, relative to most residuals", "", C("residual_ratio_5s")),
-        Metric("residual_part_5s", "part of the residuals' square that lasts 5 s", "%", C("residual_part_5s")),
         Metric("lost_s", "time lost", "s", C("lost s")),
         Metric("lost_fraction", "rows lost", "%", pl.when(C("span s") > 0).then(C("lost s") / C("span s"))
                .otherwise(C("lost rows") / C("n_rows"))),

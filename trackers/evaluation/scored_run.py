@@ -9,10 +9,9 @@ from typing import Any
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.cautions import late_readings, mirrored_heights
+from trackwright.trackers.evaluation.cautions import mirrored_heights
 from trackwright.trackers.evaluation.evaluate import Evaluation, truths_of, with_truth
 from trackwright.trackers.evaluation.events import events_of
-from trackwright.trackers.evaluation.residuals import residual_ratios
 from trackwright.trackers.evaluation.rows import is_scored, refuse_without_overlap
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
@@ -51,16 +50,15 @@ class ScoredRun:
         truths, lines = truths_of(folders), list[str]()
         rows = with_truth(tracks.table, folders)
         if is_scored(rows).any():
-            lines = [*mirrored_heights(rows, folders), *late_readings(named, folders)]
+            lines = mirrored_heights(rows, folders)
         elif truths:
             try:
                 refuse_without_overlap(rows, truths)
             except UnusableInput as problem:
                 lines = [f"not evaluated: {problem}"]
-        events = events_of(tracks.table, named.spec, batches)
-        return cls(named, folders, tracks, events, rows, [*tracks.notices, *lines])
+        return cls(named, folders, tracks, events_of(tracks.table), rows, [*tracks.notices, *lines])
 
     @property
     def evaluation(self) -> Evaluation:
         """The metrics."""
-        return Evaluation.of(self.rows, residual_ratios(self.tracks))
+        return Evaluation.of(self.rows)

@@ -16,12 +16,6 @@ MOST = 1000
 LOST = 0.1
 """The share of rows in which tracks are lost, start again or have no covariance, beyond which these are not judged."""
 
-LASTING = 1.4
-"""The ratio of `residual_ratio_5s` from which on residuals of some stations or anchors last.
-
-Between walks whose covariances fit and one whose do not (ble51-walk-u1-r1 and u2-r1, 1.1 at most, and u3-r1, 1.6).
-"""
-
 HOLD, SHORT, SMALL, LARGE = "hold", "too short", "too small", "too large"
 
 
@@ -52,14 +46,14 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
     if losses and max(overall["losses"] / overall["n_rows"], overall["lost_fraction"]) > LOST:
         return losses
     if overall["coverage_95"] is None:
-        return losses + _innovations(overall, recordings)
+        return losses + _innovations(overall)
     sentences = [*losses, *_covariance(overall, "nees")]
     wrong = [f"{r['recording']} ({_factor(r)} {found})" for r in recordings if (found := verdict(r)) in (SMALL, LARGE)]
     if sentences[len(losses) :] and len(recordings) > 1 and wrong:
         sentences.append(f"Outside their band: {len(wrong)} of {len(recordings)} recordings, {listed(wrong)}.")
     if verdict(overall, "nees_3d") in (SMALL, LARGE):
         sentences += [f"In three dimensions, r{x[1:]}" for x in _covariance(overall, "nees_3d")]
-    return [*sentences, *(_gaps(overall, "") or _gaps(overall, "_3d")), *_lasting(recordings)]
+    return [*sentences, *(_gaps(overall, "") or _gaps(overall, "_3d"))]
 
 
 def _unknown(metrics: Mapping[str, Any], suffix: str) -> float:
@@ -112,21 +106,14 @@ def _figures(metrics: Mapping[str, Any], name: str) -> str:
     return f"{name[:4].rstrip('_').upper()}/dof {ratio}, band {low} to {high} ({samples} effective samples){regret}"
 
 
-def _innovations(overall: Mapping[str, Any], recordings: Sequence[Mapping[str, Any]]) -> list[str]:
+def _innovations(overall: Mapping[str, Any]) -> list[str]:
     """The sentence on the innovations alone; none for a tracker without."""
     found = verdict(overall, "nis")
     if found is None:
         return []
-    figures, part = _figures(overall, "nis"), overall.get("residual_part_5s")
-    if found == SMALL and part is not None and (rest := overall["nis_ratio"] * (1 - part)) <= overall["nis_high"]:
-        return [
-            f"The model is biased, its noise is not too small: {100 * part:.0f} % of the square of the residuals of "
-            f"stations or anchors lasts for 5 s, and without that NIS/dof is {significant(rest, 3)} ({figures})."
-        ]
-    if lasting := _lasting(recordings):
-        return lasting
+    figures = _figures(overall, "nis")
     if found == SMALL:
-        why = "the model's noise is too small" if part is not None else "its noise is too small, or the model is biased"
+        why = "its noise is too small, or the model is biased"
         return [f"The readings scatter {_factor(overall, 'nis')} as much as the model expects, {why}: {figures}."]
     if found == LARGE:
         return [
@@ -149,16 +136,3 @@ def _losses(overall: Mapping[str, Any]) -> list[str]:
     stayed = f", for {overall['lost_s']:.3g} s in all" if overall["lost_s"] > 0 else ""
     suitable = "With a suitable model a track is lost only where readings are missing."
     return [f"Tracks were lost {times}{stayed}. {suitable}"]
-
-
-def _lasting(recordings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The sentence on residuals that last, with the largest ratio; none where they do not."""
-    lasting = [r for r in recordings if (r.get("residual_ratio_5s") or 0.0) >= LASTING]
-    if not lasting:
-        return []
-    of = f" of {listed([r['recording'] for r in lasting])}" if len(recordings) > 1 else ""
-    largest = max(r["residual_ratio_5s"] for r in lasting)
-    return [
-        f"Residuals of some stations or anchors{of} last: averaged over 5 s, they are {significant(largest, 2)} times "
-        "the size of a typical residual. The reported covariances do not allow for that."
-    ]

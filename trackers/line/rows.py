@@ -168,7 +168,6 @@ _on_path = partial(
     geometry=_geometry,
     planar=lambda trajectory, free_height: True,
     automatic=_no_height_to_estimate,
-    on_path=True,
 )
 
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {

@@ -66,9 +66,8 @@ class TrackerSpec:
     asked once for all tags of a folder that share station and known height, where the rows are `Trajectories`.
     `notices(folder, free_height)`: a line for each tag of which the tracker assumes what the folder contradicts.
     `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
-    `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so
-    that leaving the path is an event. `every_row`: the tables of which it reads rows that repeat a value, too, since
-    it averages them, counts rows, or estimates each time by itself.
+    `bearing_only`: it estimates directions, not positions. `every_row`: the tables of which it reads rows that repeat a
+    value, too, since it averages them, counts rows, or estimates each time by itself.
     """
 
     about: str
@@ -81,7 +80,6 @@ class TrackerSpec:
     notices: Callable[[RecordingFolder, bool], Iterable[str]] = lambda folder, free_height: ()
     automatic: Callable[[RecordingFolder], bool] = lambda folder: True
     bearing_only: bool = False
-    on_path: bool = False
     every_row: Collection[str] = ()
 
     @property

@@ -47,11 +47,11 @@ def begun():
     """The names of the recordings that are tracked; the one with the number `FAILING` fails."""
     names, events_of = [], scored_run.events_of
 
-    def failing(tracks, *rest):
+    def failing(tracks):
         names.append(tracks["recording"][0])
         if names[-1] == f"walk-{FAILING}":
             raise MemoryError("no memory is left")
-        return events_of(tracks, *rest)
+        return events_of(tracks)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scored_run, "events_of", failing)

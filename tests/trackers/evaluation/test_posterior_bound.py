@@ -16,7 +16,7 @@ from trackwright.trackers.aoa.beam import Beam, BeamMotion
 from trackwright.trackers.aoa.phases import PlanePhases
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
-from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosition, ConstantVelocity, Kinematic, Placed
+from trackwright.trackers.core.model.motion import ConstantPosition, ConstantVelocity, Kinematic, Placed
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Residual
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
@@ -128,53 +128,6 @@ def test_recordings_that_have_ended_do_not_weigh():
     np.testing.assert_allclose(_on_the_line(Gauge(), [long, short]), _on_the_line(Gauge(), [long]), rtol=1e-12)
 
 
-class Pendulum(AbstractMotion):
-    """x ← x + 3 sin(2x) dt + 0.5 √dt w: its derivative is between −1.4 and 3.4 for steps of 0.4 s."""
-
-    noisy_where: float = eqx.field(static=True, default=0.0)
-
-    @property
-    def noise_dimension(self):
-        return 1
-
-    def step(self, state, inputs, dt, w):
-        x = state.position[0]
-        sigma = 0.5 * (1.0 + self.noisy_where * x * x)
-        return Placed(Vector(x + 3.0 * jnp.sin(2.0 * x) * dt + sigma * jnp.sqrt(dt) * w[0]))
-
-
-def _pendulum(count, rows, motion):
-    rng, dt = np.random.default_rng(3), 0.4
-    path = [rng.normal(size=count)]
-    for _ in range(rows - 1):
-        path.append(path[-1] + 3 * np.sin(2 * path[-1]) * dt + 0.5 * dt**0.5 * rng.normal(size=count))
-    x = np.array(path)
-    # Read at every third row only, so that the motion matters.
-    seen = (np.arange(rows) % 3 == 2)[:, None]
-    reads = [recording(dt * np.arange(rows), {"gauge": (np.zeros((rows, 1)), seen)}, [0.0], [[1.0]])]
-    tracker = Tracker(motion, {"gauge": Gauge()}, KnownStart(lambda s: Placed(Vector(s[0]))))
-    return posterior_bound(tracker, stack(reads * count), Placed(Vector(x)))[:, 0], x, dt
-
-
-def test_of_a_nonlinear_motion_it_is_the_inverse_of_the_mean_information_of_all_paths():
-    rows = 6
-    bounds, x, dt = _pendulum(20_000, rows, Pendulum())
-    q = 0.25 * dt
-    # minus the second derivatives of the joint log density of whole paths, averaged over paths drawn from it
-    whole = np.zeros((rows, rows))
-    whole[0, 0] = 1.0
-    expected = [1.0]
-    for k in range(1, rows):
-        noise = x[k] - x[k - 1] - 3 * np.sin(2 * x[k - 1]) * dt
-        slope, bend = 1 + 6 * np.cos(2 * x[k - 1]) * dt, -12 * np.sin(2 * x[k - 1]) * dt
-        whole[k - 1, k - 1] += np.mean(slope**2 - noise * bend) / q
-        whole[k, k] += 1 / q + (1 / SIGMA**2 if k % 3 == 2 else 0.0)
-        whole[k - 1, k] = whole[k, k - 1] = -np.mean(slope) / q
-        expected.append(np.linalg.inv(whole[: k + 1, : k + 1])[k, k] ** 0.5)
-    # the mean of 20,000 second derivatives is known to about 1 %
-    np.testing.assert_allclose(bounds, expected, rtol=0.01)
-
-
 class Falling(ConstantVelocity):
     """Motion with drag: nonlinear in the speed, and without noise of its own in the position."""
 
@@ -184,13 +137,24 @@ class Falling(ConstantVelocity):
         return Kinematic(state.position + state.velocity * dt + drag * dt, state.velocity + drag + kick)
 
 
-def test_transitions_that_differ_with_noise_that_does_not_reach_all_of_the_state_have_no_bound():
-    start = KnownStart(lambda s: Kinematic(Vector(s[0]), Vector(s[1])))
-    tracker = Tracker(Falling(0.3, 1), {"gauge": Gauge()}, start)
-    seen = {"gauge": (np.zeros((4, 1)), np.ones((4, 1), bool))}
-    batch = stack([recording(0.1 * np.arange(4), seen, [0.0, 0.0], np.eye(2))] * 3)
+class Gusts(ConstantPosition):
+    """Noise that grows with the square of its own draw."""
+
+    def step(self, state, inputs, dt, w):
+        return Placed(Vector(state.position[0] + self.sigma_v.value * jnp.sqrt(dt) * w[0] * (1.0 + w[0] * w[0])))
+
+
+@pytest.mark.parametrize(
+    ("motion", "made"),
+    [
+        (Falling(0.3, 1), lambda x: Kinematic(Vector(x[0]), Vector(x[1]))),
+        (Gusts(0.2, 1), lambda x: Placed(Vector(x[0]))),
+    ],
+)
+def test_transitions_that_differ_between_trajectories_or_draws_have_no_bound(motion, made):
+    tracker = Tracker(motion, {"gauge": Gauge()}, KnownStart(made))
+    seen, n = {"gauge": (np.zeros((4, 1)), np.ones((4, 1), bool))}, 1 + isinstance(motion, Falling)
+    batch = stack([recording(0.1 * np.arange(4), seen, np.zeros(n), np.eye(n))] * 3)
     speeds = np.random.default_rng(0).normal(size=(4, 3))
-    with pytest.raises(
-        ValueError, match="row 1: transitions differ between trajectories, and their noise does not reach"
-    ):
-        posterior_bound(tracker, batch, Kinematic(Vector(speeds), Vector(speeds)))
+    with pytest.raises(ValueError, match="row 1: the transitions of .* differ between trajectories or noise draws"):
+        posterior_bound(tracker, batch, made([speeds, speeds]))

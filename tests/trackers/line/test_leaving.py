@@ -2,23 +2,9 @@
 
 import numpy as np
 
-from trackwright.trackers.line.leaving import cusum, excursions
+from trackwright.trackers.line.leaving import cusum
 
 TIMES = np.arange(0, 60, 0.5)
-
-
-def test_an_excursion_starts_and_ends_with_the_difference():
-    distance = np.where((TIMES >= 20) & (TIMES < 30), 2.0, 0.2)
-    (excursion,) = excursions(TIMES, distance, 1.0, 2.0)
-    assert TIMES[excursion.start] == 20.0
-    # Ten seconds of one metre more than the slack fill the sum to its cap of 4 m s, which 0.8 m/s takes 5 s to empty.
-    assert abs(TIMES[excursion.end] - 34.75) <= 0.25
-    assert excursion.farthest == 2.0
-
-
-def test_a_short_or_small_difference_is_no_excursion():
-    assert excursions(TIMES, np.where(np.abs(TIMES - 20) < 0.6, 2.0, 0.2), 1.0, 2.0) == []
-    assert excursions(TIMES, np.full(len(TIMES), 0.9), 1.0, 2.0) == []
 
 
 def test_the_cusum_is_excess_distance_summed_over_time_and_never_negative():

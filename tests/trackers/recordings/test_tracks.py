@@ -11,7 +11,6 @@ from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.monte_carlo.errors import scored
 from trackwright.experiments.monte_carlo.results import Results, Totals
-from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.data.estimates import STEP_COLUMNS, Estimates, Status
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import Placed
@@ -113,7 +112,7 @@ def test_a_track_lost_and_restarted_within_one_time_is_told_by_its_line_and_by_e
     assert status[after][-1] == Status.OK
     assert tracks.table.filter(pl.col("status") != "ok").select("t_s", "status").rows() == [(75.0, "restarted")]
     assert tracks.summaries == {"lost and re-started": 1}
-    events = events_of(tracks.table, spec_of("uwb"), tracker.batches(folder))
+    events = events_of(tracks.table)
     assert events.select("t_s", "event").rows() == [(75.0, "lost"), (75.0, "found again")]
 
 
@@ -122,7 +121,7 @@ def test_every_restart_is_an_event_of_its_own():
     times = [float(t) for t in range(6)]
     tracks = pl.DataFrame({"recording": "a", "tag": "1", "station": "s", "t_s": times, "status": status})
     lost, found = "lost", "found again"
-    assert events_of(tracks, spec_of("bearings"), []).select("t_s", "event").rows() == [
+    assert events_of(tracks).select("t_s", "event").rows() == [
         (1.0, lost), (1.0, found), (2.0, lost), (2.0, found), (4.0, lost), (5.0, found),
     ]  # fmt: skip
 

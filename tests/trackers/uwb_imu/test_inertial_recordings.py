@@ -7,12 +7,13 @@ import polars as pl
 import pytest
 
 from tests.trackers.recordings.checks.made import with_columns
+from trackwright.sim import worlds
 from trackwright.sim.imu import simulate_uwb_imu
 from trackwright.sim.ranging import chamber
-from trackwright.trackers.catalogue import build
+from trackwright.trackers.catalogue import build, tracked_by
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.rig import Tag
-from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
 from trackwright.trackers.uwb_imu.rows import inertial_trajectories
 
@@ -62,3 +63,13 @@ def test_in_three_dimensions_the_error_with_the_imu_is_at_most_nine_tenths_of_th
     with_imu, without = _with_and_without(recordings / "starloc-fast-s1", planar=False)
     assert with_imu < 0.9 * without
     assert with_imu < 0.26
+
+
+def test_ranges_and_an_imu_are_tracked_without_the_imu_where_the_ranges_suffice():
+    folder = worlds.tool(n=1, seed=1, rows=60).folder()
+    three = folder.tables["ranges"].filter(pl.col("anchor").is_in(sorted(folder.rig.anchors)[:3]))
+    for ranges, expected in ((folder.tables["ranges"], "uwb"), (three, "uwb-imu")):
+        tables = dict(folder.tables) | {"ranges": ranges}
+        runs, refused = tracked_by([RecordingFolder(folder.name, None, folder.rig, tables)])
+        assert [*runs] == [expected]
+        assert refused == []

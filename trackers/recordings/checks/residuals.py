@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trackwright.trackers.recordings.checks import CheckResult
-from trackwright.trackers.recordings.checks.compared import Compared, compared
+from trackwright.trackers.recordings.checks.compared import Compared
 from trackwright.trackers.recordings.checks.readings import known_median
-from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS, wrapped
+from trackwright.trackers.recordings.kinds import wrapped
 
 OUTLIER, SHOWN, LAG_S, CORRELATED = 5.0, 24, 0.1, 10
 """Robust standard deviations beyond which a reading is an outlier; most sensors with a line each; half the time over
@@ -83,12 +82,6 @@ def typical_delay(view: Compared) -> float:
     found = residuals(view)
     delays = found.delay[np.isfinite(found.bias)]
     return float(np.nanmedian(delays)) if 2 * np.isfinite(delays).sum() > len(delays) else math.nan
-
-
-def delay_against_truth(recording: RecordingFolder, table: str) -> float:
-    """As `typical_delay`, of a table; NaN without truth."""
-    view = compared(recording, table) if KINDS[table].averaged else None
-    return math.nan if view is None else typical_delay(view)
 
 
 def check_residuals(view: Compared) -> Iterator[CheckResult]:

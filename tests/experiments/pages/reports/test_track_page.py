@@ -19,9 +19,7 @@ from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.columns import float_column
 
-NO_EVENTS = pl.DataFrame(
-    schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String, "detail": pl.String}
-)
+NO_EVENTS = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
 
 
 def _unpacked(array):
@@ -35,7 +33,7 @@ def tracks():
 
 @pytest.fixture(scope="module")
 def recording(tracks):
-    event = pl.DataFrame({"recording": "hall", "tag": ["B", "gone"], "t_s": [5.0, 5.0], "event": "lost", "detail": ""})
+    event = pl.DataFrame({"recording": "hall", "tag": ["B", "gone"], "t_s": [5.0, 5.0], "event": "lost"})
     return run_data(tracks, event, None, "uwb")["recordings"][0]
 
 
