@@ -143,7 +143,7 @@ class FitOptions:
 
     `frozen`: patterns of tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: None
     for `LBFGS` for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters. `steps`:
-    the most of each start. `starts`: the tracker's own values, then the best of the `guesses` and of a coarse grid.
+    the most of each start. `starts`: the tracker's own values, then the best of a coarse grid.
     `held_out`: recordings that select the best point and end the fit, as `fit` takes them. `dimensions`: 3 to judge an
     estimated height too; None for 3 with `state-nll`, where truth and estimates have heights and anchors are not level,
     and 2 else. `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight. `prior`: of a
@@ -160,7 +160,6 @@ class FitOptions:
     dimensions: int | None = None
     weigh: Weigh = "recordings"
     prior: Kind = "sites"
-    guesses: Sequence[AbstractTracker] = ()
     chunk: int = CHUNK
 
 
@@ -238,15 +237,14 @@ def fit(
     if on.resume is not None:
         state = from_arrays(optimiser, on.resume)
     else:
-        others = [flatten(select_parameters(guess, tune, frozen)) for guess in options.guesses]
-        state = initial_state(driver, np.stack([flatten(parameters), *others]), starts)
+        state = initial_state(driver, flatten(parameters), starts)
         state = state._replace(filter_runs=state.filter_runs + tried)
     interrupted = False
     try:
         on.report(state)
         while not driver.done(state) or (starts == 1 and stands_still(state)):
             if driver.done(state):
-                starts, state = OTHER_STARTS, initial_state(driver, state.past_vectors[0], OTHER_STARTS)
+                starts, state = OTHER_STARTS, initial_state(driver, state.past_vectors[0, 0], OTHER_STARTS)
             else:
                 state = driver.step(state)
             on.report(state)

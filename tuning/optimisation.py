@@ -294,15 +294,14 @@ def with_effect(problem: Problem, vector: Float[np.ndarray, " p"]) -> tuple[int,
     return effective or problem.moving
 
 
-def initial_state(driver: MultiStart, vectors: Float[np.ndarray, "V p"], starts: int) -> FitState:
-    """The state at `starts` starts: the first of the vectors, and the best of the others and of a coarse grid.
+def initial_state(driver: MultiStart, vector: Float[np.ndarray, " p"], starts: int) -> FitState:
+    """The state at `starts` starts: the vector (p,), and the best of a coarse grid about it.
 
     Starts with the same value differ in numbers without effect: one of them is taken.
     """
-    runs = 0
+    vectors, runs = vector[None], 0
     if starts > 1:
-        vectors = np.concatenate([vectors, coarse_grid(driver.problem.parameters, vectors[0])[1:]])
-        vectors = np.clip(vectors, driver.low, driver.high)
+        vectors = np.clip(coarse_grid(driver.problem.parameters, vector), driver.low, driver.high)
         scores, runs = driver.scores(vectors)
         best = [k for k in np.argsort(scores[1:], kind="stable") + 1 if np.isfinite(scores[k])]
         chosen = {float(scores[k]): k for k in reversed([0, *best])}
