@@ -4,7 +4,6 @@ from trackwright.tuning.identifiability import identifiability_issues as identif
 from trackwright.tuning.intervals import intervals_of as intervals_of
 from trackwright.tuning.named_objectives import all_metrics as all_metrics
 from trackwright.tuning.named_objectives import parse_objective as parse_objective
-from trackwright.tuning.sweeping import surface_of as surface_of
 
 __all__ = [
     "Place",
@@ -13,5 +12,4 @@ __all__ = [
     "innovations_of",
     "intervals_of",
     "parse_objective",
-    "surface_of",
 ]

@@ -13,7 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from trackwright.experiments.pages.charts import tuning as charts
-from trackwright.experiments.pages.charts.tuning import OptimiserTrace, named
+from trackwright.experiments.pages.charts.tuning import OptimiserTrace
 from trackwright.experiments.pages.reports.before_after import NO_PLANS, Compared, TrackChanges
 from trackwright.experiments.pages.reports.pages import report_page
 from trackwright.experiments.text.tables import Section
@@ -29,7 +29,6 @@ from trackwright.tuning.identifiability import IdentifiabilityIssue
 from trackwright.tuning.intervals import Interval
 from trackwright.tuning.named_objectives import all_metrics
 from trackwright.tuning.parameters import component_names
-from trackwright.tuning.sweeping import Surface, surface_of
 
 TITLES = {
     "nll": ("Negative log-likelihood per measured number", "nats"),
@@ -87,7 +86,6 @@ class TuningReportData:
     parameters: tuple[TunedParameter, ...]
     metrics: tuple[MetricChange, ...]
     traces: tuple[OptimiserTrace, ...]
-    surface: Surface | None
     innovations: tuple[Innovations, Innovations] | None
     error_unit: str
     filter_runs: int
@@ -186,10 +184,6 @@ def _optimisation(data: TuningReportData) -> Section:
     lead += " The selected point has the least objective on the held-out recordings." if data.held_out else ""
     step = charts.selected_step(data.traces[0], [p.after for p in data.parameters])
     first = [charts.objective_chart(data.traces, data.objective_about, step)]
-    if data.surface is not None:
-        known = [data.parameters[k] for k in data.surface.axes]
-        labels, best = [named(p.name, p.unit) for p in known], [p.after for p in known]
-        first.append(charts.surface_chart(data.surface, labels, best, data.objective_about, data.traces))
     others = [charts.parameter_chart(data.traces, k, p.name, p.unit) for k, p in enumerate(data.parameters)]
     return Section("Optimisation", note=lead, parts=[first, others])
 
@@ -242,8 +236,8 @@ def collect(
 ) -> TuningReportData:
     """Metrics of both trackers on all trajectories; innovations on the held-out ones, if there are any.
 
-    `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters. The objective
-    surface takes about as many evaluations as the fit took steps. What is not of the result is left to the caller.
+    `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters. What is not of the
+    result is left to the caller.
     """
     held_out, quantity = data.held_out, next(iter(data.training[0].recording.truth))
     unit = "rad" if quantity == "direction" else "m"
@@ -281,7 +275,6 @@ def collect(
         parameters=tuned_parameters(result, intervals, issues),
         metrics=tuple(metrics),
         traces=traces_of(result),
-        surface=surface_of(result),
         innovations=innovations,
         error_unit="°" if unit == "rad" else "m",
         filter_runs=result.filter_runs,

@@ -67,18 +67,6 @@ def test_every_start_ends_in_the_trace_and_the_winner_is_first(run):
     np.testing.assert_array_equal(data.traces[0].objective, [s.value for s in result.trace])
 
 
-def test_the_surface_is_least_at_the_optimum(run):
-    result, data = run
-    found = data.surface
-    assert found.axes == (0, 1)
-    middle = tuple(n // 2 for n in found.values.shape)
-    # the optimum is a point of the grid, between which a cubic was laid; single precision
-    assert found.values[middle] == pytest.approx(result.value, rel=1e-4)
-    assert found.values.min() == pytest.approx(result.value, abs=0.01)
-    for grid, number in zip(found.grids, data.parameters, strict=True):
-        assert grid[len(grid) // 2] == pytest.approx(number.after, rel=1e-5)
-
-
 def test_without_any_interval_it_is_unknown_what_is_determined(run):
     result, _ = run
     assert [n.determined for n in tuned_parameters(result, {}, [])] == [None, None]

@@ -144,9 +144,7 @@ def test_a_run_without_truth_held_out_recordings_starts_or_intervals_has_a_page_
     nan = (float("nan"),) * 2
     scores = tuple(s._replace(held_out=nan) for s in report_data().metrics if s.key != "rmse")
     numbers = (TunedParameter("motion.sigma_a", "1", 0.05, 0.1),)
-    bare = report_data(
-        metrics=scores, held_out=(), parameters=numbers, plans=NO_PLANS, innovations=None, surface=None, traces=()
-    )
+    bare = report_data(metrics=scores, held_out=(), parameters=numbers, plans=NO_PLANS, innovations=None, traces=())
     shown = Page(tuning_page(bare))
     assert shown.open == []
     assert shown.sections == ["settings", "tuned-parameters", "metrics-before-and-after", "commands"]

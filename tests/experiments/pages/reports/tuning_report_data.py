@@ -17,7 +17,6 @@ from trackwright.experiments.pages.reports.tuning import (
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.diagnostics import Innovations
-from trackwright.tuning.sweeping import Surface
 
 
 def innovations(scale: float, seed: int = 0, trajectories: int = 4, rows: int = 300) -> Innovations:
@@ -40,8 +39,6 @@ def report_data(**changes) -> TuningReportData:
     ways = [end * np.exp(np.log(factor / end) * 0.8**steps) for factor in
             (np.array([0.05, 0.3, 0.5]), np.array([0.5, 0.06, 0.3]), np.array([0.02, 1.2, 0.8]))]  # fmt: skip
     away = [((np.log(w / end)) ** 2).sum(axis=1) for w in ways]
-    grids = np.geomspace(0.04, 0.5, 15), np.geomspace(0.08, 0.6, 13)
-    x, y = np.meshgrid(*(np.log(g / e) for g, e in zip(grids, end[:2], strict=True)), indexing="ij")
     times = np.arange(400) * 0.2
     tracks = tuple(
         ErrorTrack(f"line-{k}, tag {k}", times, 0.3 * np.abs(rng.normal(size=400)) + 0.02 * k,
@@ -63,7 +60,6 @@ def report_data(**changes) -> TuningReportData:
             MetricChange("rmse", "RMSE", "m", (0.3126, 0.2418), (0.3233, 0.2517)),
         ),
         traces=tuple(OptimiserTrace(0.1327 + a, w) for a, w in zip(away, ways, strict=True)),
-        surface=Surface((0, 1), grids, 0.1327 + x**2 + y**2 + 0.4 * x * y),
         innovations=(innovations(0.55), innovations(1.0, 7)),
         plans=TrackChanges((), 0, tracks),
         error_unit="m",
