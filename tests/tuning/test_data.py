@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import trackwright as tw
-from tests.tuning.worlds import line_tracker, walks
+from tests.tuning.worlds import figure, line_tracker, walks
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.monte_carlo.errors import scored
@@ -23,7 +23,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.batches import trajectory_weights
 from trackwright.tuning.data import fit_arrays, fit_data
 from trackwright.tuning.identifiability import identifiability_issues
-from trackwright.tuning.named_objectives import all_metrics, parse_objective
+from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.parameters import flatten, select_parameters, tuned_by_default
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import optimum
@@ -56,10 +56,9 @@ def test_a_fit_over_the_floor_judges_truth_without_heights_as_evaluate_does(heig
     folder = _folder(1.2, heights)
     tracker = tw.build("fix-kf", folder)
     data = fit_data(tracker.only_batch(folder), "rmse")
-    found = all_metrics(data.tracker, data.batches(), "position", 2)
     evaluation = tw.evaluate(tracker.run(folder), folder)
     assert evaluation["n"] == ROWS
-    assert found["rmse"] == pytest.approx(evaluation["rmse_m"], rel=1e-9)
+    assert figure(data.tracker, data.batches(), data.objective) == pytest.approx(evaluation["rmse_m"], rel=1e-9)
 
 
 @pytest.mark.parametrize("height", [1.2, None], ids=["over the floor", "in space"])
@@ -177,8 +176,7 @@ def test_a_weight_of_three_is_three_trajectories(objective, copies):
     np.testing.assert_allclose(weighted.values(vectors), repeated.values(vectors), rtol=1e-12)
     model, copy = optimum(weighted, vectors[0]), optimum(repeated, vectors[0])
     np.testing.assert_allclose(model.hessian, copy.hessian, rtol=1e-7, atol=1e-10)
-    found = all_metrics(tracker, [stack(made)], "position", 1, weights=[weights])
-    assert found[objective] == pytest.approx(other.values[0], rel=1e-9)
+    assert figure(tracker, [stack(made)], goal, [weights]) == pytest.approx(other.values[0], rel=1e-9)
 
 
 @pytest.mark.slow

@@ -90,3 +90,33 @@ def test_autocorrelation_is_that_of_the_model_and_stops_at_the_end_of_a_trajecto
     alone, none = autocorrelation(Innovations(nis[:9], np.full(9, 2.0), np.arange(9)), 3)
     assert np.isnan(alone).all()
     assert none == 0
+
+
+def test_what_makes_the_nis_says_its_tail():
+    assert float(student_t_dof_of(bearing_tracker(4, dof=5.0))) == pytest.approx(5.0)
+    assert student_t_dof_of(line_tracker()) is None
+    assert float(student_t_dof_of(fix_tracker(dof=7.0))) == pytest.approx(7.0)
+    # the NIS of a smoothed tracker is its filter's, and that of MH-K is its fusion's
+    assert float(student_t_dof_of(Smoothed(fix_tracker(dof=7.0)))) == pytest.approx(7.0)
+    assert student_t_dof_of(mhk_tracker()) is None
+    assert student_t_dof_of(MovingWindow(5, False)) is None
+
+
+class Heavy(Gauge):
+    """A gauge whose noise is of Student's t, by a number of another name."""
+
+    tail_weight: Any = eqx.field(default_factory=lambda: Scale(6.0))
+
+    def residual(self, reading, predicted):
+        return super().residual(reading, predicted)._replace(dof=self.tail_weight.value)
+
+
+def test_the_degrees_of_freedom_are_those_of_the_residuals_whatever_the_field_is_called():
+    whole = line_tracker()
+    gauge = whole.sensors["gauge"]
+    heavy = Heavy(gauge.sigma, gauge.offset, gauge.bias)
+    own = Tracker(whole.motion, {"gauge": heavy}, whole.start, track_loss=whole.track_loss)
+    assert float(student_t_dof_of(own)) == pytest.approx(6.0)
+    both = Tracker(whole.motion, {"gauge": heavy, "other": gauge}, whole.start, track_loss=whole.track_loss)
+    with pytest.raises(ValueError, match="2 sensors, 1 of them with Student's t"):
+        student_t_dof_of(both)

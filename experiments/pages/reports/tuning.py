@@ -17,7 +17,7 @@ from trackwright.experiments.pages.charts.tuning import OptimiserTrace
 from trackwright.experiments.pages.reports.before_after import NO_PLANS, Compared, TrackChanges
 from trackwright.experiments.pages.reports.pages import report_page
 from trackwright.experiments.text.tables import Section
-from trackwright.experiments.text.wording import MISSING, duration, number, percent_change, uncapitalised, yes_no
+from trackwright.experiments.text.wording import MISSING, duration, number, uncapitalised, yes_no
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.tracks import batches
@@ -27,20 +27,17 @@ from trackwright.tuning.diagnostics import Innovations, implied_spread, innovati
 from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue
 from trackwright.tuning.intervals import Interval
-from trackwright.tuning.named_objectives import all_metrics
 from trackwright.tuning.parameters import component_names
 
 TITLES = {
     "nll": ("Negative log-likelihood per measured number", "nats"),
     "rmse": ("RMSE", ""),
-    "rmse-3d": ("3-D RMSE", ""),
     "state-nll": ("Negative log-likelihood of the truth per row", "nats"),
 }
-"""Title and unit of each metric of `tuning.named_objectives`; without a unit it has that of the truth."""
+"""Title and unit of each objective; without a unit it has that of the truth."""
 
-SAME, WORSE, WORSE_BY = 0.1, 0.02, 0.01
-"""The relative difference of values up to which two starts end at one point, and the increase above which a metric
-counts as worse: relative, and in nats, which have no natural zero."""
+SAME = 0.1
+"""The relative difference of values up to which two starts end at one point."""
 
 
 class TunedParameter(NamedTuple):
@@ -60,23 +57,14 @@ class TunedParameter(NamedTuple):
     spread: str = ""
 
 
-class MetricChange(NamedTuple):
-    """A metric before and after, on the recordings tuned on and on those held out; `key`: its name, as `rmse`."""
-
-    key: str
-    title: str
-    unit: str
-    training: tuple[float, float]
-    held_out: tuple[float, float]
-
-
 @dataclass(frozen=True)
 class TuningReportData:
     """Everything that a tuning report shows.
 
-    `traces`: one per start, the best first. `innovations`: before and after, of held-out recordings if there are any.
-    `compared`: recordings before and after, in the figures of `evaluate`; `plans`: their tracks. `cautions`: clauses of
-    the fit on itself. `issues`: sentences on undetermined parameters. `notes`: sentences on irregularities of the run.
+    `values`: of the objective, before and after. `traces`: one per start, the best first. `innovations`: before and
+    after, of held-out recordings if there are any. `compared`: recordings before and after, in the figures of
+    `evaluate`; `plans`: their tracks. `cautions`: clauses of the fit on itself. `issues`: sentences on undetermined
+    parameters. `notes`: sentences on irregularities of the run.
     """
 
     objective: str
@@ -84,7 +72,7 @@ class TuningReportData:
     training: tuple[str, ...]
     held_out: tuple[str, ...]
     parameters: tuple[TunedParameter, ...]
-    metrics: tuple[MetricChange, ...]
+    values: tuple[float, float]
     traces: tuple[OptimiserTrace, ...]
     innovations: tuple[Innovations, Innovations] | None
     error_unit: str
@@ -126,7 +114,6 @@ def _sections(data: TuningReportData) -> Iterator[Section]:
     plans, shown = [charts.plan_chart(change) for change in data.plans.shown], len(data.plans.shown)
     some = [f"{shown} of {data.plans.total} tracks are shown."] if 0 < shown < data.plans.total else []
     yield Section("Floor plans before and after", note=lead, parts=[plans, *some])
-    yield _metrics_section(data)
     if data.traces:
         yield _optimisation(data)
     if data.innovations is not None and min(len(side.nis) for side in data.innovations):
@@ -153,30 +140,6 @@ def _parameters_section(parameters: Sequence[TunedParameter]) -> Section:
     looks = {"after": "after", "determined?": "answer", "spread of the readings": "long"}
     shown = len(head) if any(p.spread for p in parameters) else len(head) - 1
     return Section("Tuned parameters", head[:shown], [row[:shown] for row in rows], 1, lead, looks)
-
-
-def _metrics_section(data: TuningReportData) -> Section:
-    lead = "Lower is better. Every row counts, as in the objective; elsewhere rows of the same time count once."
-    sides, rows = ["tuned on: ", "held out: "] if data.held_out else [""], []
-    for m in data.metrics:
-        title = m.title + ("" if m.unit == "1" else f", {m.unit}") + " (objective)" * (m.key == data.objective)
-        pairs = [m.training, m.held_out][: len(sides)]
-        rows.append([title, *(cell for pair in pairs for cell in (*map(number, pair), changed(m.unit, *pair)))])
-    head = ["metric", *(side + word for side in sides for word in ("before", "after", "change"))]
-    return Section("Metrics before and after", head, rows, 1, lead)
-
-
-def changed(unit: str, before: float, after: float) -> str:
-    """The change as a difference or in per cent where that has a meaning, and as a word where it matters."""
-    if not (math.isfinite(before) and math.isfinite(after)):
-        return MISSING
-    # Log-densities have no natural zero.
-    nats = unit == "nats"
-    text = ("+" if after > before else "") + number(after - before) if nats else percent_change(before, after)
-    if abs(after - before) <= (WORSE_BY if nats else WORSE * min(before, after)):
-        return text or "same"
-    word = "worse" if after > before else "better"
-    return Markup('<span class="{}">{} {}</span>').format(word, "" if unit == "1" else text, word)
 
 
 def _optimisation(data: TuningReportData) -> Section:
@@ -207,11 +170,7 @@ def advice_on(data: TuningReportData) -> tuple[str, str, list[str]]:
         issues = [f"The recordings do not determine {names}: other values fit equally well."]
     if issues:
         issues[-1] += " Do not use such values as measurements: freeze or tie these parameters, or record more motion."
-    sentence = f"{data.objective_about} was tuned"
-    for best in (metric for metric in data.metrics if metric.key == data.objective):
-        relative = "" if best.unit == "nats" else percent_change(*best.training)
-        sentence = f"{best.title} changed from {' to '.join(map(number, best.training))} {best.unit}"
-        sentence += f" ({relative})" * bool(relative)
+    sentence = f"{data.objective_about} changed from {' to '.join(map(number, data.values))}"
     if None not in known or names:
         count = f"{known.count(True)} of " if None not in known else f"all but {known.count(False)} of "
         sentence += f"; the recordings determine {count}{counted(len(known), 'parameter')}"
@@ -234,15 +193,13 @@ def collect(
     intervals: Mapping[str, Interval],
     issues: Sequence[IdentifiabilityIssue] = (),
 ) -> TuningReportData:
-    """Metrics of both trackers on all trajectories; innovations on the held-out ones, if there are any.
+    """What the page shows of a fit; innovations are of the held-out trajectories, if there are any.
 
     `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters. What is not of the
     result is left to the caller.
     """
     held_out, quantity = data.held_out, next(iter(data.training[0].recording.truth))
     unit = "rad" if quantity == "direction" else "m"
-    # The metric `rmse` is the horizontal error; the 3-D error has a name of its own.
-    objective = "rmse-3d" if objective == "rmse" and data.dimensions == 3 else objective
     title, own_unit = TITLES.get(objective, (objective, "1"))
     trackers, runs = (result.before, result.tracker), []
     for tracker in trackers:
@@ -250,21 +207,6 @@ def collect(
         runs.append([of[k][: len(one.recording)] for group, of in grouped for k, one in enumerate(group)])
     before, after = (innovations_of(tracker, of) for tracker, of in zip(trackers, runs, strict=True))
     innovations = None if before is None or after is None else (before, after)
-    # A beam in a flat array's own plane has no direction: nothing to compare with the truth.
-    comparable = all(hasattr(run.mean, quantity) for of_tracker in runs for run in of_tracker)
-    # A sum of several metrics, or with priors, is a metric of its own.
-    pair = result.start_value, result.value
-    metrics = [] if objective in TITLES else [MetricChange(objective, objective, "1", pair, (math.nan,) * 2)]
-    values = []
-    for apart in (False, True):
-        rows = [b if comparable else b._replace(truth={}) for b in data.batches(apart)]
-        given = rows, quantity, data.dimensions
-        values.append([all_metrics(t, *given, weights=data.weights(apart)) if rows else {} for t in trackers])
-    for key, (full, own) in TITLES.items():
-        pairs = [(old.get(key, np.nan), new.get(key, np.nan)) for old, new in values]
-        if np.isfinite(pairs).any():
-            full = f"Horizontal {full}" if key == "rmse" and data.dimensions == 3 else full
-            metrics.append(MetricChange(key, full, own or unit, pairs[0], pairs[1]))
     notes = ["The held-out recordings were used to select the best point and to stop the fit."] if held_out else []
     notes += [] if innovations else ["NIS is not shown: for this tracker its distribution is unknown."]
     return TuningReportData(
@@ -273,7 +215,7 @@ def collect(
         training=recording_names(data.training),
         held_out=recording_names(held_out),
         parameters=tuned_parameters(result, intervals, issues),
-        metrics=tuple(metrics),
+        values=(result.start_value, result.value),
         traces=traces_of(result),
         innovations=innovations,
         error_unit="°" if unit == "rad" else "m",

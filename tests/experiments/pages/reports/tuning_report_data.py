@@ -9,7 +9,6 @@ import polars as pl
 
 from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChanges
 from trackwright.experiments.pages.reports.tuning import (
-    MetricChange,
     OptimiserTrace,
     TunedParameter,
     TuningReportData,
@@ -55,10 +54,7 @@ def report_data(**changes) -> TuningReportData:
         training=("line-a", "line-b"),
         held_out=("line-c", "line-d"),
         parameters=numbers,
-        metrics=(
-            MetricChange("nll", "Negative log-likelihood", "nats", (0.4812, 0.1327), (0.4950, 0.1411)),
-            MetricChange("rmse", "RMSE", "m", (0.3126, 0.2418), (0.3233, 0.2517)),
-        ),
+        values=(0.4812, 0.1327),
         traces=tuple(OptimiserTrace(0.1327 + a, w) for a, w in zip(away, ways, strict=True)),
         innovations=(innovations(0.55), innovations(1.0, 7)),
         plans=TrackChanges((), 0, tracks),
