@@ -9,14 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackwright.experiments.pages.charts import style
-from trackwright.experiments.pages.charts.distributions import Curve, distribution, histograms, nis_chart
+from trackwright.experiments.pages.charts.distributions import Curve, distribution
 from trackwright.experiments.pages.charts.floor import plan, track_paths, true_path
-from trackwright.experiments.pages.charts.style import Chart, Field, Line, band, broken_at_gaps, is_logarithmic, rule
+from trackwright.experiments.pages.charts.style import Chart, Field, Line, band, broken_at_gaps, is_logarithmic
 from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChange
 from trackwright.experiments.pages.scored_tracks import root_mean_square
 from trackwright.experiments.text.wording import fixed, length_unit, number
 from trackwright.trackers.core.wording import counted
-from trackwright.tuning.diagnostics import Innovations, autocorrelation, nis_probabilities
 from trackwright.tuning.sweeping import Sweep
 
 ELLIPSES, POINTS, LAGS = 12, 1000, 30
@@ -47,29 +46,6 @@ def plan_chart(change: TrackChange) -> Chart:
     look: dict[str, Any] = {"width": 5.0, "caption": f"{'; '.join(filter(None, words))}."}
     truths, rig = true_path(change.after, change.track), change.after.folder.rig
     return plan("plan", f"Floor plan of {change.errors.name}", paths, truths, rig, **look)
-
-
-def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
-    """NIS against its distribution, its probabilities, and its autocorrelation."""
-    bins, lags = np.linspace(0, 1, 21), np.arange(1, LAGS + 1)
-    small: dict[str, Any] = {"width": style.NARROW, "height": 0.92 * style.NARROW}
-    new, old = (np.histogram(nis_probabilities(side), bins, density=True)[0] for side in (after, before))
-    uniform = [*histograms(bins, [new, old]), rule(1.0, (0, 1), name="consistent", colour=style.VERMILION, width=1.6)]
-    (earlier, _), (later, pairs) = autocorrelation(before, LAGS), autocorrelation(after, LAGS)
-    wide = 1.96 / np.sqrt(max(pairs, 1))
-    white = band([0, LAGS + 1], -wide, wide, "95 % band of white noise", style.VERMILION, 0.16)
-    sides = (earlier, "before", style.BEFORE), (later, "after", style.BLUE)
-    points = [Line(lags, y, name, colour, 0.8, marker="circle", size=3) for y, name, colour in sides]
-    names = "probabilities", "Probabilities of NIS", "probability of a smaller NIS", "density"
-    large = "An overconfident filter has more large values than the vermilion line."
-    rising = "Uniform for a consistent filter; rising to the right: covariances too small, to the left: too large."
-    lasting = "Of NIS as normal values. Points above the band: errors are correlated in time, contrary to the model."
-    others = "autocorrelation", "Autocorrelation of NIS", "lag (rows)", ""
-    return [
-        nis_chart("nis", "NIS against its distribution", after, before, **small, caption=large),
-        Chart(*names, uniform, **small, caption=rising),
-        Chart(*others, [white, *points], **small, caption=lasting),
-    ]
 
 
 def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:

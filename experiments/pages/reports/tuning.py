@@ -12,7 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from markupsafe import Markup
 
+from trackwright.experiments.pages.charts import style
 from trackwright.experiments.pages.charts import tuning as charts
+from trackwright.experiments.pages.charts.distributions import nis_chart
 from trackwright.experiments.pages.charts.tuning import OptimiserTrace
 from trackwright.experiments.pages.reports.before_after import NO_PLANS, Compared, TrackChanges
 from trackwright.experiments.pages.reports.pages import report_page
@@ -23,7 +25,7 @@ from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.data import FitData
-from trackwright.tuning.diagnostics import Innovations, implied_spread, innovations_of
+from trackwright.tuning.diagnostics import Innovations, innovations_of
 from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.identifiability import IdentifiabilityIssue
 from trackwright.tuning.intervals import Interval
@@ -43,8 +45,7 @@ SAME = 0.1
 class TunedParameter(NamedTuple):
     """A parameter before and after; `low`, `high`: its 95 % interval, NaN where there is none.
 
-    `determined`: whether the recordings determine it; None where the objective has no information on that. `spread`:
-    in words, that of the readings which the scale of a Student's t implies; empty for other parameters.
+    `determined`: whether the recordings determine it; None where the objective has no information on that.
     """
 
     name: str
@@ -54,7 +55,6 @@ class TunedParameter(NamedTuple):
     low: float = math.nan
     high: float = math.nan
     determined: bool | None = None
-    spread: str = ""
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,12 @@ def _sections(data: TuningReportData) -> Iterator[Section]:
     if data.traces:
         yield _optimisation(data)
     if data.innovations is not None and min(len(side.nis) for side in data.innovations):
-        lead = "For a consistent filter NIS is distributed as the line says and uncorrelated between rows. "
-        yield Section("Consistency of the filter", note=lead + on, parts=[charts.innovation_charts(*data.innovations)])
+        small: dict[str, Any] = {"width": style.NARROW, "height": 0.92 * style.NARROW}
+        caption = "An overconfident filter has more large values than the vermilion line."
+        before, after = data.innovations
+        chart = nis_chart("nis", "NIS against its distribution", after, before, **small, caption=caption)
+        lead = "For a consistent filter NIS is distributed as the line says. "
+        yield Section("Consistency of the filter", note=lead + on, parts=[[chart]])
     errors = [e for e in data.plans.errors if np.isfinite(e.before).any() and np.isfinite(e.after).any()]
     if errors:
         over_time = charts.error_charts(errors, data.error_unit)
@@ -135,11 +139,9 @@ def _parameters_section(parameters: Sequence[TunedParameter]) -> Section:
     for p in parameters:
         interval = f"{number(p.low)} … {number(p.high)}" if math.isfinite(p.low) else MISSING
         determined, unit = MISSING if p.determined is None else yes_no(p.determined), "" if p.unit == "1" else p.unit
-        rows.append([p.name, number(p.before), number(p.after), unit, interval, determined, p.spread])
-    head = ["parameter", "before", "after", "unit", "95 % interval", "determined?", "spread of the readings"]
-    looks = {"after": "after", "determined?": "answer", "spread of the readings": "long"}
-    shown = len(head) if any(p.spread for p in parameters) else len(head) - 1
-    return Section("Tuned parameters", head[:shown], [row[:shown] for row in rows], 1, lead, looks)
+        rows.append([p.name, number(p.before), number(p.after), unit, interval, determined])
+    head = ["parameter", "before", "after", "unit", "95 % interval", "determined?"]
+    return Section("Tuned parameters", head, rows, 1, lead, {"after": "after", "determined?": "answer"})
 
 
 def _optimisation(data: TuningReportData) -> Section:
@@ -240,11 +242,7 @@ def tuned_parameters(
     for name, p, values, ok in zip(names, parameters, numbers.T.tolist(), finite.tolist(), strict=True):
         # Without any interval it is unknown what is determined; with some, a parameter without one is undetermined.
         determined = False if name in undetermined else ok if finite.any() else None
-        words, spread = "", implied_spread(result.tracker, p.names[0]) if p.size == 1 else None
-        if spread is not None:
-            form = "standard deviation {}" if spread.is_deviation else "68 % of the readings within ± {}"
-            words = form.format(f"{number(spread.value)} {p.example.unit}")
-        made.append(TunedParameter._make((name, p.example.unit, *values, determined, words)))
+        made.append(TunedParameter._make((name, p.example.unit, *values, determined)))
     return tuple(made)
 
 

@@ -18,11 +18,11 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.diagnostics import Innovations
 
 
-def innovations(scale: float, seed: int = 0, trajectories: int = 4, rows: int = 300) -> Innovations:
+def innovations(scale: float, seed: int = 0, rows: int = 1200) -> Innovations:
     """χ² values with two and three degrees of freedom by turns, times `scale`."""
     rng = np.random.default_rng(seed)
-    dof = np.tile([2.0, 3.0], trajectories * rows // 2)
-    return Innovations(scale * rng.chisquare(dof), dof, np.repeat(np.arange(trajectories), rows))
+    dof = np.tile([2.0, 3.0], rows // 2)
+    return Innovations(scale * rng.chisquare(dof), dof)
 
 
 def report_data(**changes) -> TuningReportData:
