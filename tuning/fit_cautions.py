@@ -18,8 +18,7 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.recordings.reading_grids import REPEATED, ReadingGrid
 from trackwright.tuning.parameters import Parameter, grid_of, split
-from trackwright.tuning.parts import BESIDE, Computation, Point, plain_rows
-from trackwright.tuning.problem import Problem
+from trackwright.tuning.problem import BESIDE, Point, Problem, plain_rows
 from trackwright.tuning.uncertainty import Uncertainty
 
 COLLAPSED = 1e-3
@@ -146,8 +145,7 @@ def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tup
     """
     # Of few trajectories by the program that the starts were compared with.
     function, reduced = (plain_rows, _sums_of_rows) if problem.few else (_squares_of_rows, _sums)
-    computation = Computation(function, [np.atleast_2d(vector)], reduced)
-    by_chunk = [chunk_sums for (chunk_sums,) in problem.parts.compute(computation)]
+    by_chunk = [chunk_sums for (chunk_sums,) in problem.compute(function, [np.atleast_2d(vector)], reduced)]
     sums = WindowSums(*(np.sum(np.stack(parts), axis=0) for parts in zip(*by_chunk, strict=True)))
     if sums.rows < MIN_WINDOWS:
         return int(sums.rows), 1.0

@@ -18,13 +18,12 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.reading_grids import ReadingGrid, reading_grids
-from trackwright.tuning.batches import Pieces, Weigh
 from trackwright.tuning.checkpoint import from_arrays
-from trackwright.tuning.data import Arrays, FitData, fit_arrays
+from trackwright.tuning.data import Arrays, FitData, Weigh, fit_arrays
 from trackwright.tuning.fit_cautions import collapsed, correlation, repetitions, standstill
 from trackwright.tuning.identifiability import identifiability_issues, kept_at_start
 from trackwright.tuning.objectives import AbstractObjective, Loss
-from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still, with_effect
+from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still
 from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from trackwright.tuning.parameters import (
     Parameter,
@@ -37,8 +36,8 @@ from trackwright.tuning.parameters import (
     with_parameters,
 )
 from trackwright.tuning.priors import Kind, Prior
-from trackwright.tuning.problem import Evaluation, Problem
-from trackwright.tuning.uncertainty import Uncertainty, evaluations, optimum, uncertainty_at, unidentifiable
+from trackwright.tuning.problem import Evaluation, Pieces, Problem
+from trackwright.tuning.uncertainty import Uncertainty, optimum, uncertainty_at, unidentifiable
 from trackwright.tuning.weight import discount, tempered_anew, weighed_anew
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
@@ -229,16 +228,11 @@ def fit(
     smooth = objective.has_density and not problem.stochastic
     optimiser = options.optimiser or (LBFGS() if smooth else Adam(options.steps))
     driver = MultiStart(problem, optimiser, options.steps, low, high, scoring)
-    starts, tried = options.starts, 0
-    if starts > 1 and problem.few and not problem.stochastic:
-        # A value of few trajectories costs little more than the derivative by one number.
-        problem.moving = with_effect(problem, np.clip(flatten(parameters), low, high))
-        tried = (len(low) + 1) * problem.n_trajectories
+    starts = options.starts
     if on.resume is not None:
         state = from_arrays(optimiser, on.resume)
     else:
         state = initial_state(driver, flatten(parameters), starts)
-        state = state._replace(filter_runs=state.filter_runs + tried)
     interrupted = False
     try:
         on.report(state)
@@ -286,7 +280,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
             kept = kept_at_start(problem, uncertainty, start, float(state.past_values[0, 0]) - best.value)
         if kept is not None and kept.at_start.any():
             best = optimum(problem, kept.vector)
-            vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + evaluations(problem)
+            vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + 2 * len(vector) + 1
             uncertainty = uncertainty_at(problem, best, bound, kept.at_start | hidden)
     value = float(problem.finite_values(vector, last.terms)[0])
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]

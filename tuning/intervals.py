@@ -109,7 +109,7 @@ def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float
     for start, stop in pairwise(edges.tolist()):
         part = replace(data, training=[hidden(trajectory) for trajectory in data.training])
         problem = Problem(fitted.tracker, part.batches(), fitted.objective, fitted.parameters, weights=part.weights())
-        problem.moving, problem.prior, problem.discount = fitted.moving, fitted.prior, fitted.discount
+        problem.prior, problem.discount = fitted.prior, fitted.discount
         refitted = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
         vector = np.clip(refitted.vectors[0], *result.limits)
         blocks.append((start, stop, by_label(result.parameters, vector)))

@@ -246,8 +246,7 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     Only trajectories usable at all of the vectors count, so that all differences are of the same function.
     """
     vector = np.asarray(vector, float)
-    moving = list(problem.moving)
-    shifts = STEP * np.eye(len(vector))[moving]
+    shifts = STEP * np.eye(len(vector))
     vectors = np.concatenate([vector[None], vector + shifts, vector - shifts])
     evaluation = problem.evaluate(vectors)
     used = np.asarray(evaluation.used.all(axis=0))
@@ -257,25 +256,14 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     gradients = np.einsum("sk,skp->sp", by_sum, term_gradients.sum(axis=-1))
     pull = problem.prior_penalty(vectors, sums)
     values, gradients = values + pull.values, gradients + pull.gradients
-    rows = _differences(gradients, moving)
+    ahead, behind = np.split(gradients[1:], 2)
+    rows = (ahead - behind) / (2 * STEP)
     # Without a single usable trajectory there is no likelihood.
     nats = problem.nats_per_unit(sums[0]) if used.any() else np.nan
     psi = influence(problem.objective, terms[0], term_gradients[0])
     hessian, precision = 0.5 * (rows + rows.T), problem.prior.weights(vector)[0]
     prior = precision / nats if precision.any() else precision
     return Optimum(vector, float(values[0]), gradients[0], hessian, psi, nats, used, evaluation.at(0), prior)
-
-
-def evaluations(problem: Problem) -> int:
-    """The number of vectors that `optimum` evaluates."""
-    return 2 * len(problem.moving) + 1
-
-
-def _differences(gradients: Float[np.ndarray, "many p"], moving: Sequence[int]) -> Float[np.ndarray, "p p"]:
-    """Second derivatives, in the rows `moving`, from gradients at a vector, ahead of it and behind it."""
-    rows, (ahead, behind) = np.zeros((gradients.shape[1],) * 2), np.split(gradients[1:], 2)
-    rows[moving] = (ahead - behind) / (2 * STEP)
-    return rows
 
 
 def influence(

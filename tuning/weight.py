@@ -37,7 +37,7 @@ def discount(problem: Problem, vector: Float[np.ndarray, " p"], recordings: int)
 
     With an objective that needs truth none of the `recordings` counts for more than `MOST_ROWS`.
     """
-    rows = np.concatenate(problem.parts.rows).astype(float)
+    rows = np.concatenate(problem.rows).astype(float)
     part = min(problem.weights @ rows / (problem.weights**2 @ rows), 1.0) / rows_and_inflation(problem, vector)[1]
     if not problem.objective.needs_truth:
         return float(part)

@@ -20,8 +20,7 @@ from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.tuning.batches import trajectory_weights
-from trackwright.tuning.data import fit_arrays, fit_data
+from trackwright.tuning.data import fit_arrays, fit_data, trajectory_weights
 from trackwright.tuning.identifiability import identifiability_issues
 from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.parameters import flatten, select_parameters, tuned_by_default
