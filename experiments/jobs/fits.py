@@ -18,8 +18,7 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning import checkpoint
 from trackwright.tuning.calibrating import by_halves, by_others
 from trackwright.tuning.data import FitData
-from trackwright.tuning.fitting import FitOptions, FitResult, Place, fit
-from trackwright.tuning.intervals import left_out_blocks, left_out_values
+from trackwright.tuning.fitting import FitOptions, FitResult, Place, fit, left_out_blocks, left_out_values
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.parameters import flatten, parse_bounds, require_start_within, select_parameters
 

@@ -21,7 +21,6 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.data import fit_arrays, fit_data, trajectory_weights
-from trackwright.tuning.identifiability import identifiability_issues
 from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.parameters import flatten, select_parameters, tuned_by_default
 from trackwright.tuning.problem import Problem
@@ -214,8 +213,8 @@ def test_vertical_noise_keeps_its_start_where_the_position_over_the_floor_is_jud
     result = tw.fit(named, folder, objective, tune, options)
     assert result.values["motion.sigma_z"] == result.before.motion.sigma_z.value
     assert result.values["motion.sigma_a"] != result.before.motion.sigma_a.value
-    texts = [issue.text for issue in identifiability_issues(result.uncertainty, result.evaluation.term_gradients)]
-    assert "motion.sigma_z keeps its starting value: the objective does not determine it" in texts
+    texts = [issue.text for issue in result.issues]
+    assert "motion.sigma_z: kept at the starting value, which the objective does not determine" in texts
     assert f"\n  caution: {texts[0]}" in repr(result)
     free = tw.fit(named, folder, objective, "motion.sigma_z", options)
     assert np.all(free.limits[0] < free.limits[1]), "alone it is not held"

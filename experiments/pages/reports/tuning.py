@@ -26,10 +26,10 @@ from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.data import FitData
 from trackwright.tuning.diagnostics import Innovations, innovations_of
+from trackwright.tuning.fit_warnings import Issue
 from trackwright.tuning.fitting import FitResult
-from trackwright.tuning.identifiability import IdentifiabilityIssue
-from trackwright.tuning.intervals import Interval
 from trackwright.tuning.parameters import component_names
+from trackwright.tuning.uncertainty import Interval
 
 TITLES = {
     "nll": ("Negative log-likelihood per measured number", "nats"),
@@ -193,7 +193,7 @@ def collect(
     data: FitData,
     objective: str,
     intervals: Mapping[str, Interval],
-    issues: Sequence[IdentifiabilityIssue] = (),
+    issues: Sequence[Issue] = (),
 ) -> TuningReportData:
     """What the page shows of a fit; innovations are of the held-out trajectories, if there are any.
 
@@ -228,7 +228,7 @@ def collect(
 
 
 def tuned_parameters(
-    result: FitResult, intervals: Mapping[str, Interval], issues: Sequence[IdentifiabilityIssue] = ()
+    result: FitResult, intervals: Mapping[str, Interval], issues: Sequence[Issue] = ()
 ) -> tuple[TunedParameter, ...]:
     """The numbers that a fit tuned; `intervals`: 95 %, by label."""
     undetermined, names = {name for issue in issues for name in issue.names}, component_names(result.parameters)

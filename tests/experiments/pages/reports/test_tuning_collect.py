@@ -10,9 +10,8 @@ from trackwright.experiments.pages.reports.tuning import collect, tuned_paramete
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.tuning.data import FitData
+from trackwright.tuning.fit_warnings import Issue
 from trackwright.tuning.fitting import FitOptions, fit
-from trackwright.tuning.identifiability import IdentifiabilityIssue
-from trackwright.tuning.intervals import intervals_of
 from trackwright.tuning.named_objectives import parse_objective
 
 PATTERNS = ("motion.sigma_a", "sensors.fixes.sigma_horizontal")
@@ -27,9 +26,9 @@ def run():
     result = fit(
         group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, FitOptions(steps=6, starts=2, prior="flat")
     )
-    issues = [IdentifiabilityIssue((PATTERNS[0],), "an issue")]
+    issues = [Issue((PATTERNS[0],), "an issue")]
     data = FitData(group.tracker, parse_objective(NLL), NLL, group.planar, 3, training, held_out, "recordings")
-    collected = collect(result, data, NLL, intervals_of(result), issues)
+    collected = collect(result, data, NLL, result.intervals, issues)
     return result, replace(collected, tracker="fix-kf")
 
 
@@ -59,7 +58,7 @@ def test_every_start_ends_in_the_trace_and_the_winner_is_first(run):
 def test_without_any_interval_it_is_unknown_what_is_determined(run):
     result, _ = run
     assert [n.determined for n in tuned_parameters(result, {}, [])] == [None, None]
-    assert [n.determined for n in tuned_parameters(result, {}, [IdentifiabilityIssue((PATTERNS[0],), "an issue")])] == [
+    assert [n.determined for n in tuned_parameters(result, {}, [Issue((PATTERNS[0],), "an issue")])] == [
         False,
         None,
     ]
