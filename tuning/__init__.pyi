@@ -1,19 +1,9 @@
 from trackwright.tuning.diagnostics import innovations_of as innovations_of
 from trackwright.tuning.fitting import Place as Place
-from trackwright.tuning.guessing import first_guess as first_guess
-from trackwright.tuning.identifiability import identifiability_issues as identifiability_issues
-from trackwright.tuning.intervals import intervals_of as intervals_of
-from trackwright.tuning.named_objectives import all_metrics as all_metrics
 from trackwright.tuning.named_objectives import parse_objective as parse_objective
-from trackwright.tuning.sweeping import surface_of as surface_of
 
 __all__ = [
     "Place",
-    "all_metrics",
-    "first_guess",
-    "identifiability_issues",
     "innovations_of",
-    "intervals_of",
     "parse_objective",
-    "surface_of",
 ]

@@ -15,9 +15,9 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write, config_hash
 from trackwright.trackers.recordings.input_file import read_arrays
-from trackwright.tuning.batches import Pieces
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.optimisers import AbstractOptimiser
+from trackwright.tuning.problem import Pieces
 
 CHECKPOINT = "checkpoint.npz"
 FORMAT = 2

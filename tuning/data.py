@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -21,7 +21,6 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_l
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
-from trackwright.tuning.batches import Weigh, trajectory_weights
 from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.objectives import (
     AbstractObjective,
@@ -38,6 +37,40 @@ FLAT_M = 1.0
 
 SEGMENT_ROWS = 8000
 """Rows of the segments that long recordings are cut into, which are fitted side by side."""
+
+
+Weigh = Literal["recordings", "rows"]
+"""What has the same say in an objective: each recording, or each row."""
+
+
+def trajectory_weights(
+    batches: Sequence[Batch], recordings: Sequence[Sequence[str]], weigh: Weigh, needs_truth: bool
+) -> list[Float[np.ndarray, " B"]]:
+    """The weight of each trajectory of the batches, with which the rows of every recording add up to the same number.
+
+    `recordings`: of each batch, the recording of each of its trajectories. Rows with known truth count where the
+    objective `needs_truth`, else all rows. The weighted number of rows is the number of rows, so that
+    recordings of one length have weight 1. All weights are 1 if rows have the same weight.
+    """
+    if weigh == "rows" or not batches:
+        return [np.ones(batch.size) for batch in batches]
+    names = [np.asarray(of_batch) for of_batch in recordings]
+    rows = [_rows(batch, needs_truth) for batch in batches]
+    joined, total = np.concatenate(names), np.concatenate(rows)
+    distinct, index = np.unique(joined, return_inverse=True)
+    by_recording = np.bincount(index.ravel(), total, minlength=len(distinct))
+    counted = by_recording > 0
+    say = np.ones(len(distinct))
+    say[counted] = total.sum() / counted.sum() / by_recording[counted]
+    return np.split(say[index.ravel()], np.cumsum([len(of_batch) for of_batch in names])[:-1])
+
+
+def _rows(batch: Batch, needs_truth: bool) -> Float[np.ndarray, " B"]:
+    """The number of rows of each trajectory that an objective counts."""
+    counted = np.asarray(batch.valid)
+    if needs_truth and batch.truth:
+        counted = counted & np.any([np.asarray(known) for _, known in batch.truth.values()], axis=0)
+    return counted.sum(axis=0).astype(float)
 
 
 @dataclass(frozen=True)

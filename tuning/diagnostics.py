@@ -1,19 +1,16 @@
-"""Diagnostics of a filter's innovations: NIS against its distribution, and whiteness.
-
-The spread of readings that a scale of Student's t implies: the heavier the tails, the smaller the scale beside it.
-"""
+"""NIS of a filter against its distribution: the band of means, quantiles and the density."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int, Num
+from jaxtyping import Float, Num
 
 from trackwright.trackers.core.data.consistency import chi_square_quantile
 from trackwright.trackers.core.data.estimates import Estimates
@@ -24,14 +21,13 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 
 @dataclass(frozen=True)
 class Innovations:
-    """NIS (n,) with degrees of freedom (n,) of rows in time order; `trajectory` (n,): index of each row's trajectory.
+    """NIS (n,) with degrees of freedom (n,) of rows.
 
     `student_t_dof`: degrees of freedom of Student's t noise, with which NIS is not χ²; None for normal noise.
     """
 
     nis: Float[np.ndarray, " n"]
     dof: Num[np.ndarray, " n"]
-    trajectory: Int[np.ndarray, " n"]
     student_t_dof: float | None = None
 
 
@@ -57,18 +53,17 @@ def _student_t_dof(sensor: AbstractSensor) -> Scalar | None:
 
 
 def innovations_of(tracker: AbstractTracker, runs: Sequence[Estimates]) -> Innovations | None:
-    """Innovations of all rows with a NIS, trajectory by trajectory; None where the distribution of NIS is unknown."""
+    """Innovations of all rows with a NIS, None where the distribution of NIS is unknown."""
     try:
         nu = student_t_dof_of(tracker)
     except ValueError:
         return None
     used = [np.isfinite(run.nis) & (run.nis_dof > 0) & run.usable for run in runs]
-    trajectory = [np.full(int(rows.sum()), k) for k, rows in enumerate(used)]
     nis, dof = (
         np.concatenate([getattr(run, name)[rows].astype(float) for run, rows in zip(runs, used, strict=True)])
         for name in ("nis", "nis_dof")
     )
-    return Innovations(nis, dof, np.concatenate(trajectory), None if nu is None else float(np.asarray(nu)))
+    return Innovations(nis, dof, None if nu is None else float(np.asarray(nu)))
 
 
 def nis_band(
@@ -115,43 +110,6 @@ def nis_quantile(probability: float, dof: float, student_t_dof: float | None = N
     return float(scale * np.sin(np.interp(probability, share, edges)) ** 2)
 
 
-def nis_probabilities(innovations: Innovations) -> Float[np.ndarray, " n"]:
-    """The probability integral transform of the NIS (n,): uniform over (0, 1) for a consistent filter (Dawid 1984)."""
-    # Imported when used: it takes 0.1 s of processor time, and the figures of tracks need none of it.
-    import scipy
-
-    nis, dof = np.asarray(innovations.nis, float), np.asarray(innovations.dof, float)
-    if innovations.student_t_dof is None:
-        return np.asarray(scipy.special.gammainc(dof / 2, nis / 2))
-    a, b, scale = student_t_nis_beta(dof, innovations.student_t_dof)
-    return np.asarray(scipy.special.betainc(a, b, np.clip(nis / scale, 0.0, 1.0)))
-
-
-def normal_scores(innovations: Innovations) -> Float[np.ndarray, " n"]:
-    """The NIS transformed to standard normal values (n,), within ±7."""
-    import scipy
-
-    return np.asarray(scipy.special.ndtri(np.clip(nis_probabilities(innovations), 1e-12, 1 - 1e-12)))
-
-
-def autocorrelation(innovations: Innovations, lags: int) -> tuple[Float[np.ndarray, " {lags}"], int]:
-    """The autocorrelation of the normal scores at 1 … `lags` rows (lags,), and the number of pairs at lag 1.
-
-    Pairs are within one trajectory; NaN without any. Near zero for a true model.
-    """
-    scores = normal_scores(innovations)
-    centred = scores - scores.mean() if len(scores) else scores
-    power = float(np.mean(centred**2)) if len(scores) else np.nan
-    correlations, pairs = np.full(lags, np.nan), 0
-    for lag in range(1, min(lags, len(scores) - 1) + 1):
-        same = innovations.trajectory[lag:] == innovations.trajectory[:-lag]
-        products = (centred[lag:] * centred[:-lag])[same]
-        if len(products) and power > 0:
-            correlations[lag - 1] = products.mean() / power
-        pairs = len(products) if lag == 1 else pairs
-    return correlations, pairs
-
-
 def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Float[np.ndarray, " n"]:
     """The density of a consistent filter's NIS at positive `x`, over the rows' degrees of freedom.
 
@@ -173,44 +131,3 @@ def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Fl
             of_dof[inside] = np.exp(log_u - scipy.special.betaln(a, b)) / scale
         density += count / len(innovations.dof) * of_dof
     return density
-
-
-class Spread(NamedTuple):
-    """The `value` in the unit of the scale: a standard deviation, or half the width of the central 68 %.
-
-    The latter where the variance is infinite, with ν ≤ 2.
-    """
-
-    value: float
-    is_deviation: bool
-
-
-def implied_spread(tracker: AbstractTracker, tunable: str) -> Spread | None:
-    """The spread of a sensor's density of which `tunable` is the scale; None for normal noise and other tunables."""
-    kind, _, rest = tunable.partition(".")
-    name, _, scale = rest.rpartition(".")
-    sensor: Any = getattr(tracker, "sensors", {}).get(name) if kind == "sensors" else None
-    if getattr(sensor, "dof", None) is None or not scale.startswith("sigma"):
-        return None
-    skew = float(sensor.positive_skew.value) if hasattr(sensor, "positive_skew") else 1.0
-    return student_t_spread(float(getattr(sensor, scale).value), float(sensor.dof.value), skew)
-
-
-def student_t_spread(sigma: float, dof: float, skew: float = 1.0) -> Spread:
-    """The spread of Student's t with a scale of `sigma` below its peak and `skew`·`sigma` above it."""
-    if dof > 2:
-        # Of |t|; the halves have the probabilities 1/(1 + k) and k/(1 + k).
-        mean = 2 * math.sqrt(dof / math.pi) * math.exp(math.lgamma((dof + 1) / 2) - math.lgamma(dof / 2)) / (dof - 1)
-        square = dof / (dof - 2) * (1 - skew + skew**2)
-        return Spread(sigma * math.sqrt(square - (mean * (skew - 1)) ** 2), True)
-    # Imported when used: it takes long.
-    from scipy import stats
-
-    below = 1 / (1 + skew)
-
-    def quantile(p: float) -> float:
-        if p < below:
-            return float(sigma * stats.t.ppf(0.5 * p / below, dof))
-        return float(skew * sigma * stats.t.ppf(0.5 + 0.5 * (p - below) / (1 - below), dof))
-
-    return Spread((quantile(0.84) - quantile(0.16)) / 2, False)

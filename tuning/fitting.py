@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -18,13 +18,12 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.reading_grids import ReadingGrid, reading_grids
-from trackwright.tuning.batches import Pieces, Weigh
+from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.checkpoint import from_arrays
-from trackwright.tuning.data import Arrays, FitData, fit_arrays
-from trackwright.tuning.fit_cautions import collapsed, correlation, repetitions, standstill
-from trackwright.tuning.identifiability import identifiability_issues, kept_at_start
+from trackwright.tuning.data import Arrays, FitData, Weigh, fit_arrays
+from trackwright.tuning.fit_warnings import Issue, finished_cautions, identifiability_issues
 from trackwright.tuning.objectives import AbstractObjective, Loss
-from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still, with_effect
+from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still
 from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from trackwright.tuning.parameters import (
     Parameter,
@@ -37,8 +36,16 @@ from trackwright.tuning.parameters import (
     with_parameters,
 )
 from trackwright.tuning.priors import Kind, Prior
-from trackwright.tuning.problem import Evaluation, Problem
-from trackwright.tuning.uncertainty import Uncertainty, evaluations, optimum, uncertainty_at, unidentifiable
+from trackwright.tuning.problem import Evaluation, Pieces, Problem
+from trackwright.tuning.uncertainty import (
+    Interval,
+    Uncertainty,
+    kept_at_start,
+    optimum,
+    refit,
+    uncertainty_at,
+    unidentifiable,
+)
 from trackwright.tuning.weight import discount, tempered_anew, weighed_anew
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
@@ -95,10 +102,7 @@ class FitResult(Generic[AnyTracker]):
             shown = f"{value:.4g}" if value.ndim == 0 else np.array2string(value, precision=4)
             shown += f" ± {error:.2g}" if value.ndim == 0 and np.isfinite(error) else ""
             lines.append(f"  {p.label} {shown} {p.example.unit}")
-        texts = list(self.cautions)
-        if self.uncertainty is not None:
-            issues = identifiability_issues(self.uncertainty, self.evaluation.term_gradients, self.selected)
-            texts = [*(issue.text for issue in issues), *texts]
+        texts = [*(issue.text for issue in self.issues), *self.cautions]
         return "\n".join([*lines, *(f"  caution: {text}" for text in texts)]) + ">"
 
     @property
@@ -118,16 +122,24 @@ class FitResult(Generic[AnyTracker]):
 
     @cached_property
     def cautions(self) -> list[str]:
-        """Caveats on the result (`tuning.fit_cautions`). For a likelihood this runs the filter once more."""
-        cautions = standstill(self.start_vector, self.vector, self.selected)
-        cautions += collapsed(self.parameters, self.start_vector, self.vector, self.readings, self.uncertainty)
-        if self.uncertainty is not None and np.isnan(self.uncertainty.optimum.nats_per_unit):
-            cautions += [] if self.converged or self.selected else ["the fit took all its steps before it came to rest"]
-        if not self.problem.objective.needs_truth:
-            cautions += repetitions(self.readings)
-        if self.problem.objective.is_likelihood:
-            cautions += correlation(self.problem, self.vector)
-        return cautions
+        """Caveats on the result. For a likelihood this runs the filter once more."""
+        ends, readings = (self.start_vector, self.vector), self.readings
+        return finished_cautions(self.problem, *ends, readings, self.uncertainty, self.converged, self.selected)
+
+    @property
+    def issues(self) -> list[Issue]:
+        """The numbers that the recordings don't determine; none of an interrupted fit."""
+        if self.uncertainty is None:
+            return []
+        return identifiability_issues(self.uncertainty, self.evaluation.term_gradients, self.selected)
+
+    @property
+    def intervals(self) -> dict[str, Interval]:
+        """95 % intervals by label: the wider of the posterior's and of the scatter of trajectories.
+
+        Empty for a fit that was interrupted or is not at its optimum; NaN for numbers at a bound.
+        """
+        return {} if self.uncertainty is None or not self.uncertainty.at_optimum else self.uncertainty.intervals()
 
     @property
     def standard_errors(self) -> dict[str, np.ndarray]:
@@ -143,7 +155,7 @@ class FitOptions:
 
     `frozen`: patterns of tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: None
     for `LBFGS` for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters. `steps`:
-    the most of each start. `starts`: the tracker's own values, then the best of the `guesses` and of a coarse grid.
+    the most of each start. `starts`: the tracker's own values, then the best of a coarse grid.
     `held_out`: recordings that select the best point and end the fit, as `fit` takes them. `dimensions`: 3 to judge an
     estimated height too; None for 3 with `state-nll`, where truth and estimates have heights and anchors are not level,
     and 2 else. `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight. `prior`: of a
@@ -160,7 +172,6 @@ class FitOptions:
     dimensions: int | None = None
     weigh: Weigh = "recordings"
     prior: Kind = "sites"
-    guesses: Sequence[AbstractTracker] = ()
     chunk: int = CHUNK
 
 
@@ -221,7 +232,7 @@ def fit(
     readings = reading_grids(model, Pieces(batches))
     if data.folders:
         # Readings of folders have the variance of their rounding.
-        readings = [dataclasses.replace(grid, step=math.nan) for grid in readings]
+        readings = [replace(grid, step=math.nan) for grid in readings]
     low, high = limits(parameters, bounds)
     low = np.maximum(low, floors(readings, parameters, bounds))
     if (hidden := _hidden(parameters, objective)).any():
@@ -230,23 +241,17 @@ def fit(
     smooth = objective.has_density and not problem.stochastic
     optimiser = options.optimiser or (LBFGS() if smooth else Adam(options.steps))
     driver = MultiStart(problem, optimiser, options.steps, low, high, scoring)
-    starts, tried = options.starts, 0
-    if starts > 1 and problem.few and not problem.stochastic:
-        # A value of few trajectories costs little more than the derivative by one number.
-        problem.moving = with_effect(problem, np.clip(flatten(parameters), low, high))
-        tried = (len(low) + 1) * problem.n_trajectories
+    starts = options.starts
     if on.resume is not None:
         state = from_arrays(optimiser, on.resume)
     else:
-        others = [flatten(select_parameters(guess, tune, frozen)) for guess in options.guesses]
-        state = initial_state(driver, np.stack([flatten(parameters), *others]), starts)
-        state = state._replace(filter_runs=state.filter_runs + tried)
+        state = initial_state(driver, flatten(parameters), starts)
     interrupted = False
     try:
         on.report(state)
         while not driver.done(state) or (starts == 1 and stands_still(state)):
             if driver.done(state):
-                starts, state = OTHER_STARTS, initial_state(driver, state.past_vectors[0], OTHER_STARTS)
+                starts, state = OTHER_STARTS, initial_state(driver, state.past_vectors[0, 0], OTHER_STARTS)
             else:
                 state = driver.step(state)
             on.report(state)
@@ -256,10 +261,10 @@ def fit(
     if not interrupted and scoring is None and problem.prior.precision.any():
         state = weighed_anew(driver, tempered_anew(driver, state), names)
     result = _result(model, driver, state, interrupted)
-    result = dataclasses.replace(result, readings=readings, recordings=names)
+    result = replace(result, readings=readings, recordings=names)
     if isinstance(tracker, NamedTracker):
         values = {name: result.values[p.label] for p in parameters for name in p.names}
-        result = dataclasses.replace(result, tracker=tracker.with_values(values, "the fit"))
+        result = replace(result, tracker=tracker.with_values(values, "the fit"))
     return result
 
 
@@ -288,7 +293,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
             kept = kept_at_start(problem, uncertainty, start, float(state.past_values[0, 0]) - best.value)
         if kept is not None and kept.at_start.any():
             best = optimum(problem, kept.vector)
-            vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + evaluations(problem)
+            vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + 2 * len(vector) + 1
             uncertainty = uncertainty_at(problem, best, bound, kept.at_start | hidden)
     value = float(problem.finite_values(vector, last.terms)[0])
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
@@ -341,3 +346,76 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
         Step(float(state.past_values[k, start]), float(state.past_norms[k, start]), by_label(parameters, vectors[k]))
         for k in range(last)
     ]
+
+
+MOST_FOLDS = 10
+"""Fits at most: of more recordings several are left out at once."""
+
+
+LEFT_OUT_ROUNDS = 8
+"""Steps of each fit from the optimum of all recordings."""
+
+
+def _model(result: FitResult) -> Uncertainty | None:
+    """The model of the objective from which a few steps fit a part of the recordings; None without one."""
+    known = None if result.problem.stochastic else result.uncertainty
+    return known if known is None or np.all(np.isfinite(known.optimum.hessian)) else None
+
+
+def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
+    """For each recording, the values by label that are fitted to the others, all at once.
+
+    Numbers at a bound, and those that keep their starting values, stay there. Empty for one recording, for an
+    interrupted fit, and for particle filters, whose gradients are too noisy for a few steps.
+    """
+    uncertainty, names = _model(result), list(dict.fromkeys(name for name in result.recordings if name))
+    if uncertainty is None or len(names) < 2:
+        return {}
+    folds = [names[k::MOST_FOLDS] for k in range(min(len(names), MOST_FOLDS))]
+    recordings = np.asarray(result.recordings)
+    weights = np.stack([uncertainty.optimum.used & ~np.isin(recordings, fold) for fold in folds]).astype(float)
+    starts = np.tile(result.vector, (len(folds), 1))
+    vectors = refit(
+        result.problem, starts, uncertainty.optimum.hessian, ~uncertainty.at_bound, weights, LEFT_OUT_ROUNDS
+    ).vectors
+    values = [by_label(result.parameters, np.clip(vector, *result.limits)) for vector in vectors]
+    return {
+        name: of_fold
+        for fold, of_fold, others in zip(folds, values, weights, strict=True)
+        for name in fold
+        if others.any()
+    }
+
+
+BLOCKS = 4
+"""Blocks of time of a single recording."""
+
+
+def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float, dict[str, np.ndarray]]]:
+    """Blocks of time with as many true positions each: start, stop, and the values by label fitted without its truth.
+
+    `data`: what was fitted to. With the compiled programs of the fit, since only truth is hidden. Empty as
+    `left_out_values`, and where the objective needs no truth.
+    """
+    uncertainty, quantity = _model(result), next(iter(data.training[0].recording.truth))
+    if uncertainty is None or not data.objective.needs_truth:
+        return []
+    known = [t.recording.times[t.recording.truth[quantity][1]] for t in data.training]
+    edges = np.quantile(np.concatenate(known), np.linspace(0, 1, BLOCKS + 1))
+    edges[[0, -1]] = -np.inf, np.inf
+    blocks, fitted, free = list[tuple[float, float, dict[str, np.ndarray]]](), result.problem, ~uncertainty.at_bound
+
+    def hidden(trajectory: Trajectory) -> Trajectory:
+        recording = trajectory.recording
+        values, seen = recording.truth[quantity]
+        rest = seen & ((recording.times < start) | (recording.times >= stop))
+        return replace(trajectory, recording=replace(recording, truth={quantity: (values, rest)}))
+
+    for start, stop in pairwise(edges.tolist()):
+        part = replace(data, training=[hidden(trajectory) for trajectory in data.training])
+        problem = Problem(fitted.tracker, part.batches(), fitted.objective, fitted.parameters, weights=part.weights())
+        problem.prior, problem.discount = fitted.prior, fitted.discount
+        refitted = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
+        vector = np.clip(refitted.vectors[0], *result.limits)
+        blocks.append((start, stop, by_label(result.parameters, vector)))
+    return blocks

@@ -13,7 +13,7 @@ from trackwright.trackers.core.model.tunable import Covariance, Scale, role_of
 from trackwright.tuning.optimisers import AbstractOptimiser
 from trackwright.tuning.parameters import Parameter, split
 from trackwright.tuning.problem import Evaluation, Problem, weighted_sum
-from trackwright.tuning.uncertainty import Optimum, determined, evaluations, optimum
+from trackwright.tuning.uncertainty import Optimum, determined, optimum
 
 MAX_ATTEMPTS = 7
 """Attempts at a step, each shorter than the one before; a start that none of them helps has converged."""
@@ -287,22 +287,14 @@ GRID_STEP = np.log(10.0)
 """Distance between points of the coarse grid of starts, in unconstrained coordinates: a factor of ten."""
 
 
-def with_effect(problem: Problem, vector: Float[np.ndarray, " p"]) -> tuple[int, ...]:
-    """The numbers of a vector (p,) that change any term when they alone are a step larger; all, if none does."""
-    terms = problem.terms(np.concatenate([vector[None], vector + GRID_STEP * np.eye(len(vector))]))
-    effective = tuple(k for k, x in enumerate(terms[1:]) if not np.array_equal(x, terms[0], equal_nan=True))
-    return effective or problem.moving
-
-
-def initial_state(driver: MultiStart, vectors: Float[np.ndarray, "V p"], starts: int) -> FitState:
-    """The state at `starts` starts: the first of the vectors, and the best of the others and of a coarse grid.
+def initial_state(driver: MultiStart, vector: Float[np.ndarray, " p"], starts: int) -> FitState:
+    """The state at `starts` starts: the vector (p,), and the best of a coarse grid about it.
 
     Starts with the same value differ in numbers without effect: one of them is taken.
     """
-    runs = 0
+    vectors, runs = vector[None], 0
     if starts > 1:
-        vectors = np.concatenate([vectors, coarse_grid(driver.problem.parameters, vectors[0])[1:]])
-        vectors = np.clip(vectors, driver.low, driver.high)
+        vectors = np.clip(coarse_grid(driver.problem.parameters, vector), driver.low, driver.high)
         scores, runs = driver.scores(vectors)
         best = [k for k in np.argsort(scores[1:], kind="stable") + 1 if np.isfinite(scores[k])]
         chosen = {float(scores[k]): k for k in reversed([0, *best])}
@@ -347,7 +339,7 @@ def newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> tuple[Optimum
     evaluated.
     """
     problem, best = driver.problem, optimum(driver.problem, vector)
-    n_each = evaluations(problem)
+    n_each = 2 * len(vector) + 1
     vectors = n_each
     if not np.isfinite(best.nats_per_unit) or driver.held_out is not None or problem.stochastic:
         return best, vectors

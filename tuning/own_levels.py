@@ -11,9 +11,9 @@ from trackwright.trackers.core.model.tunable import role_of
 from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.tuning.fit_cautions import rows_and_inflation
 from trackwright.tuning.fitting import FitOptions, fit
 from trackwright.tuning.parameters import tuned_by_default
+from trackwright.tuning.weight import rows_and_inflation
 
 LEAST_GAIN = 2.0
 """Nats of the posterior below which a recording tells nothing against the levels that it is run at."""

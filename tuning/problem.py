@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -10,17 +11,28 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Num, Shaped
+from jaxtyping import Array, Bool, Float, Int, Num, Shaped, UInt32
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter
-from trackwright.trackers.core.model.covariance import few
-from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, most_few
+from trackwright.trackers.core.model.covariance import FEW, few
+from trackwright.trackers.core.model.tunable import AbstractTunable
+from trackwright.trackers.core.run.chunks import (
+    CHUNK,
+    as_dtype,
+    called,
+    most_few,
+    outputs,
+    piece_size,
+    pieces,
+    placed,
+    run_chunks,
+)
+from trackwright.trackers.core.run.latency import scored_truth
+from trackwright.trackers.core.run.scan import Output, Score
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.tuning.batches import Pieces, by_chunks, padded_size
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.parameters import Parameter, flatten
-from trackwright.tuning.parts import BESIDE, Computation, Parts, Point, WithDerivatives, plain_rows, plain_sums
+from trackwright.tuning.parameters import Parameter, Vector, flatten, with_parameters
 from trackwright.tuning.priors import Penalty, Prior
 
 Vectors = Float[np.ndarray, "*S p"]
@@ -31,11 +43,128 @@ Values = Float[np.ndarray, " many"]
 MAX_VECTORS = 8
 """Most vectors in one compiled call: with some dozens of trajectories, eight cost little more than one."""
 
-REMEMBERED = 100
-"""Vectors whose sums are kept, of few trajectories: an optimum, for one, was evaluated as a step before."""
-
 MAX_GRADIENT_RATIO = 1e3
 """Gradient size of a trajectory, relative to the median, above which the trajectory is excluded."""
+
+BESIDE = 2
+"""Numbers of a row beside the terms of the objective: its `AbstractObjective.squares`."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The `pieces` of all batches, made anew whenever they are looked through."""
+
+    batches: Sequence[Batch]
+    chunk: int = CHUNK
+    most: int = FEW
+
+    def __iter__(self) -> Iterator[Batch]:
+        for batch in self.batches:
+            yield from pieces(batch, self.chunk, self.most)
+
+
+class Point(eqx.Module):
+    """A tracker, an objective and S vectors of its parameters: the argument of the compiled functions."""
+
+    tracker: AbstractTracker
+    objective: AbstractObjective
+    names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
+    labels: tuple[str, ...] = eqx.field(static=True)
+    examples: tuple[AbstractTunable, ...]
+    vectors: Float[Array, "S p"]
+
+    def __init__(
+        self,
+        tracker: AbstractTracker,
+        objective: AbstractObjective,
+        parameters: Sequence[Parameter],
+        vectors: Float[Array, "S p"],
+    ):
+        self.tracker, self.objective, self.vectors = tracker, objective, vectors
+        self.names = tuple(p.names for p in parameters)
+        self.labels = tuple(p.label for p in parameters)
+        self.examples = tuple(p.example for p in parameters)
+
+    def at(self, vectors: Float[np.ndarray, "*S p"]) -> Point:
+        """This point at other vectors (S, p) or one."""
+        return eqx.tree_at(lambda p: p.vectors, self, jnp.asarray(np.atleast_2d(vectors), self.vectors.dtype))
+
+    def tracker_at(self, vector: Vector) -> AbstractTracker:
+        """The tracker with the parameters of one vector."""
+        parts = zip(self.names, self.examples, self.labels, strict=True)
+        return with_parameters(self.tracker, [Parameter(*part) for part in parts], vector)
+
+    def map_vectors(self, function: Callable[[Float[Array, " p"]], Any]) -> Any:
+        """`function` of every vector, results stacked along a new first axis."""
+        if len(self.vectors) == 1:
+            return jax.tree_util.tree_map(lambda x: x[None], function(self.vectors[0]))
+        return jax.vmap(function)(self.vectors)
+
+
+def plain_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"]]:
+    """The sums per vector, term and trajectory (S, k, B)."""
+    return (point.map_vectors(lambda v: jnp.stack(point.tracker_at(v).accumulate(batch, point.objective.terms))),)
+
+
+def plain_rows(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"]]:
+    """The terms of every row per vector and trajectory, then its squares (S, k + 2, T, B), for few trajectories.
+
+    The host adds the terms in double precision, and derivatives of rows come with the sums'.
+    """
+    scores = _scores(point.objective)
+    return (point.map_vectors(lambda v: jnp.stack(point.tracker_at(v).accumulate(batch, scores, every_row=True))),)
+
+
+def rows_of_runs(pairs: Sequence[tuple[Point, Batch]]) -> list[tuple[Float[np.ndarray, "1 k T B"]]]:
+    """`plain_rows` of points with one vector each, by the program with which `AbstractTracker.run` tracks the batch."""
+    tracked = []
+    for point, batch in pairs:
+        tracker = point.tracker_at(np.asarray(point.vectors[0]))
+        # Estimates have no more than the objective needs.
+        tracker = tracker.for_positions() if point.objective.of_position else tracker
+        tracked.append(((tracker, None), batch._replace(truth={})))
+    runs = run_chunks(outputs, tracked)
+    return [
+        (np.asarray(called(_scored, point.objective, (run, batch)))[None],)
+        for (run, _), (point, batch) in zip(runs, pairs, strict=True)
+    ]
+
+
+def _scored(objective: AbstractObjective, run: tuple[Output, Batch]) -> Float[Array, "k T B"]:
+    """The numbers of every row as in `plain_rows`, from its estimate."""
+    output, batch = run
+    return jnp.stack(jax.vmap(_scores(objective))(output, scored_truth(batch, output.age)))
+
+
+def _scores(objective: AbstractObjective) -> Score:
+    def scores(output: Output, truth: Any) -> tuple[Any, ...]:
+        return *objective.terms(output, truth), *objective.squares(output, truth)
+
+    return scores
+
+
+def sums_with_derivatives(point: Point, batch: Batch) -> tuple[Any, Any]:
+    """`plain_sums`, and their derivatives (S, k, p, B)."""
+    return _with_derivatives(plain_sums, point, batch)
+
+
+def rows_with_derivatives(point: Point, batch: Batch) -> tuple[Any, Any]:
+    """`plain_rows`, and their derivatives (S, k + 2, p, T, B)."""
+    return _with_derivatives(plain_rows, point, batch)
+
+
+def _with_derivatives(function: Callable[[Point, Batch], tuple[Array]], point: Point, batch: Batch) -> tuple[Any, Any]:
+    """What a function returns of a point, and its derivatives, all tangents at once."""
+
+    def at(vectors: Float[Array, "S p"]) -> Any:
+        return function(eqx.tree_at(lambda p: p.vectors, point, vectors), batch)[0]
+
+    def along(direction: Float[Array, " p"]) -> tuple[Any, Any]:
+        """The values, and their derivatives along one direction, the same for every vector."""
+        return jax.jvp(at, (point.vectors,), (jnp.broadcast_to(direction, point.vectors.shape),))
+
+    # Vectors inside and directions outside: in the other order jax traces half as much again.
+    return jax.vmap(along, out_axes=(None, 2))(jnp.eye(point.vectors.shape[1], dtype=point.vectors.dtype))
 
 
 class Evaluation(NamedTuple):
@@ -72,10 +201,9 @@ class Problem:
 
     `prior`: added to a likelihood, of which `discount` is the part that counts: errors that last carry the information
     of fewer rows. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory and their
-    derivatives are multiplied by its weight. `keep`: takes the rows to where they are computed, in this
-    process or on workers. `sizes`: trajectories of each batch, with padding. `stochastic`: whether the tracker uses
-    random numbers. `moving`: the numbers by which derivatives are computed, all unless it is known that the others have
-    no effect.
+    derivatives are multiplied by its weight. `chunks`: the rows, on their devices; `rows`: of each chunk, the rows of
+    each trajectory (B,). `sizes`: trajectories of each batch, with padding. `stochastic`: whether the tracker uses
+    random numbers.
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
@@ -100,20 +228,22 @@ class Problem:
         start = jnp.asarray(flatten(self.parameters)[None], dtype)
         self.start = Point(self.tracker, self.objective, self.parameters, start)
         most = most_few(self.tracker, gradient=True)
-        self.parts = Parts(self.start, Pieces(batches, chunk, most))
-        self.sizes = [padded_size(batch, chunk, most) for batch in batches]
-        self.weights = by_chunks(weights, self.sizes)
-        self.valid = np.concatenate(self.parts.rows) > 0
-        trajectories = max(len(rows) for rows in self.parts.rows)
+        self.chunks = list(placed(Pieces(batches, chunk, most)))
+        self.rows: list[Int[np.ndarray, " B"]] = [np.asarray(part.valid).sum(axis=0) for part in self.chunks]
+        of_pieces = [piece_size(batch.size, len(batch.dt), chunk, most) for batch in batches]
+        self.sizes = [size * -(-batch.size // size) for batch, size in zip(batches, of_pieces, strict=True)]
+        given = [np.ones(batch.size) for batch in batches] if weights is None else weights
+        padded = (np.append(x, np.ones(size - len(x))) for x, size in zip(given, self.sizes, strict=True))
+        self.weights: Float[np.ndarray, " n"] = np.concatenate([*padded])
+        self.valid = np.concatenate(self.rows) > 0
+        trajectories = max(map(len, self.rows))
         # As many vectors as keep a compiled call about as large as a full chunk. Few trajectories gain nothing by more
         # than one, nor does a filter with a particle axis, which would compute both sides of its conditions at every
         # row.
         fitting = CHUNK // (1 << (trajectories - 1).bit_length())
         self.few, self.stochastic = few(trajectories), is_stochastic(self.tracker)
-        self.moving = tuple(range(start.shape[1]))
         alone = self.few or has_particles(self.tracker) or not self.parameters
         self.vectors_per_call = 1 if alone else max(1, min(MAX_VECTORS, fitting))
-        self.lately: dict[tuple[Any, ...], Sequence[tuple[np.ndarray, ...]]] = {}
 
     def evaluate(
         self, vectors: Vectors, weights: Num[np.ndarray, "*many n"] | None = None, realisation: int = 0
@@ -123,7 +253,8 @@ class Problem:
         `weights` (n,) or (S, n): multiplicity of each trajectory, besides its own weight. `realisation`: number of the
         random draws, where the tracker uses any.
         """
-        by_part = self._run(self.with_derivatives, vectors, realisation)
+        function = rows_with_derivatives if self.few else sums_with_derivatives
+        by_part = self._run(function, vectors, realisation)
         terms, term_gradients = (np.concatenate(xs, axis=-1) for xs in zip(*by_part, strict=True))
         used = np.isfinite(terms).all(axis=1) & np.stack([_usable(x) for x in term_gradients])
         used &= self.valid
@@ -190,42 +321,37 @@ class Problem:
         """The nats of one unit of the objective, as far as they count; NaN for an objective that is no likelihood."""
         return self.discount * self.objective.nats_per_unit(sums)
 
-    def point(self, vectors: Vectors) -> Point:
-        """The argument of `with_derivatives` at vectors (S, p)."""
-        return self.start.at(vectors)
+    def compute(
+        self,
+        function: Callable[[Point, Batch], Any],
+        blocks: Sequence[Vectors],
+        reduced: Callable[[Any, Batch], Any],
+        realisation: int = 0,
+    ) -> list[list[Any]]:
+        """`reduced(function(point, chunk), chunk)` of each chunk, at each block of vectors (S, p).
 
-    @property
-    def with_derivatives(self) -> WithDerivatives:
-        """The function of a point and a chunk that `evaluate` runs."""
-        return WithDerivatives(plain_rows if self.few else plain_sums, self.moving)
+        `realisation`: number of the random draws, where the tracker uses any.
+        """
+        chunks = self.chunks
+        if self.stochastic and realisation:
+            chunks = [eqx.tree_at(lambda b: b.key, chunk, _folded(chunk.key, realisation)) for chunk in chunks]
+        points = [self.start.at(block) for block in blocks]
+        # Values of rows are computed by the program that tracks recordings.
+        run = rows_of_runs if function is plain_rows else partial(run_chunks, function)
+        results = iter(run([(point, chunk) for chunk in chunks for point in points]))
+        return [[reduced(next(results), chunk) for _ in points] for chunk in chunks]
 
     def _run(self, function: Callable[..., Any], vectors: Vectors, realisation: int) -> list[tuple[np.ndarray, ...]]:
-        """The arrays of `function` for every chunk at all vectors, float64 on the host."""
+        """The sums of `function` for every chunk at all vectors, float64 on the host."""
         vectors = np.atleast_2d(np.asarray(vectors, float))
         size, width = len(vectors), self.vectors_per_call
         padded = np.concatenate([vectors, np.repeat(vectors[-1:], -size % width, axis=0)])
-        blocks = list(padded.reshape(len(padded) // width, width, vectors.shape[1]))
-        # Of the repeated vectors of an only block nothing travels.
-        reduced = partial(_summed_rows if self.few else _first_vectors, min(width, size))
-        realisation = realisation if self.stochastic else 0
-        computation = Computation(function, blocks, reduced, realisation)
-        by_part = self._run_once(computation) if self.few else self.parts.compute(computation)
+        blocks = padded.reshape(len(padded) // width, width, vectors.shape[1])
+        reduced = _summed_rows if self.few else _sums
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
-            for of_part in by_part
+            for of_part in self.compute(function, list(blocks), reduced, realisation)
         ]
-
-    def _run_once(self, computation: Computation) -> list[list[tuple[np.ndarray, ...]]]:
-        """As `Parts.compute`, without those vectors, a block each, that it had lately."""
-        blocks = computation.blocks
-        keys = [(computation.function, computation.realisation, block.tobytes()) for block in blocks]
-        new = {key: block for key, block in zip(keys, blocks, strict=True) if key not in self.lately}
-        if new:
-            by_part = self.parts.compute(computation._replace(blocks=list(new.values())))
-            self.lately |= dict(zip(new, zip(*by_part, strict=True), strict=True))
-        by_vector = [self.lately[key] for key in keys]
-        self.lately = dict(list(self.lately.items())[-REMEMBERED:])
-        return [list(of_part) for of_part in zip(*by_vector, strict=True)]
 
 
 def is_stochastic(tracker: AbstractTracker) -> bool:
@@ -238,14 +364,20 @@ def has_particles(tracker: AbstractTracker) -> bool:
     return isinstance(tracker, Tracker) and tracker.filter.has_particle_axis
 
 
-def _first_vectors(count: int, sums: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
-    """The sums of the trajectories of a chunk at the first `count` vectors."""
-    return tuple(x[:count] for x in sums)
+def _sums(sums: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
+    return sums
 
 
-def _summed_rows(count: int, rows: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
-    """The sums of the rows of few trajectories, without the numbers beside the terms, at the first `count` vectors."""
-    return tuple(np.sum(x[:count, :-BESIDE], axis=-2, dtype=float) for x in rows)
+def _summed_rows(rows: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
+    """The sums of the rows of few trajectories, without the numbers beside the terms."""
+    return tuple(np.sum(x[:, :-BESIDE], axis=-2, dtype=float) for x in rows)
+
+
+@jax.jit
+def _folded(keys: UInt32[Array, "2 B"], realisation: int) -> UInt32[Array, "2 B"]:
+    """Raw keys (2, B) with a number folded in."""
+    fold = jax.vmap(lambda k: jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(k), realisation)), -1, -1)
+    return fold(keys)
 
 
 def weighted_sum(

@@ -2,8 +2,6 @@
 
 The assembly-line thesis (2.7 and chapter 3) tunes this way: it varies the dynamic noise over 0 … 100 cm and takes the
 value of least RMSE over all recordings, ten runs of the particle filter each. Here a compiled call has many values.
-
-The surface near the optimum of a fit is such a grid, over the two best determined numbers.
 """
 
 from __future__ import annotations
@@ -11,20 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import polars as pl
 from jaxtyping import Float
 
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.model.tunable import Covariance
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.tuning.fitting import FitResult
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.parameters import TIED, Parameter, component_kinds, physical, select_parameters
+from trackwright.tuning.parameters import TIED, Parameter, select_parameters
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import unidentifiable
 
 POINTS_PER_REPORT = 32
 """Grid points between two progress reports."""
@@ -157,92 +150,3 @@ def comparable_values(
     terms = np.concatenate(parts)
     finite = np.isfinite(terms).all(axis=1)
     return problem.values_of(terms[..., finite.any(axis=0)].sum(axis=-1))
-
-
-POINTS, FEW = 9, 5
-"""Values per axis of a surface, and where each vector is a run of its own; a curve over one number has twice as many.
-
-Odd, so that the optimum is one of them.
-"""
-
-FINE = 61
-"""Values per axis after interpolation."""
-
-HALF_WIDTHS = (0.15, 2.0)
-"""Least and largest half width, in unconstrained numbers: from 15 % to a factor of 7 of a noise level."""
-
-
-@dataclass(frozen=True)
-class Surface:
-    """The objective near the optimum over one tuned number, `values` (n,), or two, `values` (n, m).
-
-    `axes`: the numbers' indices in the unconstrained vector; `grids`: their physical values.
-    """
-
-    axes: tuple[int, ...]
-    grids: tuple[Float[np.ndarray, " _"], ...]
-    values: Float[np.ndarray, "n *m"]
-
-
-def surface_of(result: FitResult) -> Surface | None:
-    """The objective over one number, or over the two best determined; None where no value is finite.
-
-    Covers the best start's trace and four standard errors, within `HALF_WIDTHS`; surfaces are interpolated cubically.
-    """
-    trace, known = _trace_vectors(result), result.uncertainty
-    sigmas = np.full(trace.shape[1], np.inf)
-    if known is not None:
-        sigmas = np.where(known.undetermined | ~np.isfinite(known.sigmas), np.inf, known.sigmas)
-    still = unidentifiable(result.evaluation.term_gradients)
-    kinds = component_kinds(result.parameters)
-    # Entries of a matrix's factor are no numbers of their own.
-    free = [k for k, kind in enumerate(kinds) if not (issubclass(kind, Covariance) or still[k])]
-    determined = [k for k in free if np.isfinite(sigmas[k])]
-    moved = np.abs(trace[-1] - trace[0])
-    order = sorted(determined, key=lambda k: sigmas[k]) or sorted(free, key=lambda k: -moved[k])
-    axes = tuple(sorted(order[:2]))
-    if not axes:
-        return None
-    count = FEW if result.problem.vectors_per_call == 1 else POINTS
-    count = 2 * count - 1 if len(axes) == 1 else count
-    wide = np.where(np.isfinite(sigmas), 4 * sigmas, 0.0)
-    half_widths = np.clip(np.maximum(wide, 1.15 * np.abs(trace - result.vector).max(axis=0)), *HALF_WIDTHS)
-    steps = [half_widths[k] * np.linspace(-1, 1, count) for k in axes]
-    shifts = np.stack([m.ravel() for m in np.meshgrid(*steps, indexing="ij")], axis=1)
-    vectors = np.repeat(result.vector[None], len(shifts), axis=0)
-    vectors[:, list(axes)] += shifts
-    values = comparable_values(result.problem, vectors).reshape([count] * len(axes))
-    if not np.isfinite(values).any():
-        return None
-    if len(axes) == 2 and np.isfinite(values).all():
-        values = _finer(values)
-        steps = [np.linspace(s[0], s[-1], FINE) for s in steps]
-    grids = tuple(_physical(result, k, s) for k, s in zip(axes, steps, strict=True))
-    return Surface(axes, grids, values)
-
-
-def _trace_vectors(result: FitResult) -> Float[np.ndarray, "i p"]:
-    """The unconstrained vectors (i, p) of the best start's trace."""
-    vectors = [
-        np.concatenate([np.ravel(p.example.with_value(step.values[p.label]).raw) for p in result.parameters])
-        for step in result.trace
-    ]
-    return np.stack(vectors)
-
-
-def _physical(result: FitResult, k: int, steps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """The physical values of the number `k` at `steps` from the optimum."""
-    vectors = np.repeat(result.vector[None], len(steps), axis=0)
-    vectors[:, k] += steps
-    flat = jax.vmap(lambda v: jnp.concatenate([jnp.ravel(x) for x in physical(result.parameters, v)]))(vectors)
-    return np.asarray(flat, float)[:, k]
-
-
-def _finer(values: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "fine fine"]:
-    """The values (n, n) interpolated cubically to (FINE, FINE), with the same end points (Keys 1981)."""
-    scale = (FINE - 1) / (len(values) - 1)
-    shift = np.full(2, 0.5 - 0.5 * scale)
-    fine = jax.image.scale_and_translate(
-        jnp.asarray(values), (FINE, FINE), (0, 1), jnp.full(2, scale), jnp.asarray(shift), "cubic", antialias=False
-    )
-    return np.asarray(fine, float)

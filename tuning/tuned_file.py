@@ -19,7 +19,7 @@ from trackwright.trackers.recordings.input_file import identity, read_model
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.named_tracker import NamedTracker
     from trackwright.tuning.fitting import FitResult
-    from trackwright.tuning.intervals import Interval
+    from trackwright.tuning.uncertainty import Interval
 
 COMMENT = "# Written by `trackwright tune`; read by `trackwright track --noise`.\n"
 

@@ -43,6 +43,12 @@ MAX_DISTANCE = 1.0
 MIN_SLOPE_NATS = 1.0
 """Change of a likelihood, nats per factor of e, from which on it depends on a parameter."""
 
+LARGE_SIGMA = 1.0
+"""Standard deviation of an unconstrained number from which on it is hardly determined: a factor of e either way."""
+
+Interval = tuple[np.ndarray, np.ndarray]
+"""Lowest and highest value."""
+
 By = Literal["curvature", "scatter", "either"]
 """Source of an interval: the posterior, the sandwich, or the wider of the two."""
 
@@ -81,15 +87,15 @@ class Uncertainty:
     def standard_errors(self, by: By = "either") -> dict[str, np.ndarray]:
         """Standard errors of the physical values, by label; NaN for undetermined parameters and those at a bound."""
         if by == "either":
-            curvature, scatter = self.standard_errors("curvature"), self.standard_errors("scatter")
-            return {label: np.fmax(curvature[label], scatter[label]) for label in curvature}
+            both = [self.standard_errors("curvature"), self.standard_errors("scatter")]
+            return {label: np.fmax(*(errors[label] for errors in both)) for label in both[0]}
         cov = self.observed if by == "curvature" else self.sandwich
         errors = physical_errors(self.parameters, self.optimum.vector, np.nan_to_num(cov))
         missing = self.undetermined | self.at_bound | np.isnan(np.diagonal(cov)) | (not self.at_optimum)
         parts = zip(errors, split(self.parameters, missing), strict=True)
         return {p.label: np.where(m, np.nan, e) for e, (p, m) in parts}
 
-    def intervals(self, level: float = 0.95, by: By = "either") -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def intervals(self, level: float = 0.95, by: By = "either") -> dict[str, Interval]:
         """Lowest and highest physical value by label; symmetric in the logarithm of a Scale, the odds of a Fraction.
 
         Unbounded for undetermined parameters; NaN for those at a bound, and where the point is not the optimum. Entries
@@ -97,26 +103,20 @@ class Uncertainty:
         (Cameron & Miller 2015, section 6).
         """
         if by == "either":
-            curvature, scatter = self.intervals(level, "curvature"), self.intervals(level, "scatter")
-            return {
-                k: (np.fmin(curvature[k][0], scatter[k][0]), np.fmax(curvature[k][1], scatter[k][1])) for k in curvature
-            }
+            one, other = self.intervals(level, "curvature"), self.intervals(level, "scatter")
+            return {k: (np.fmin(low, other[k][0]), np.fmax(high, other[k][1])) for k, (low, high) in one.items()}
         cov = self.observed if by == "curvature" else self.sandwich
         probability, vector = 0.5 + level / 2, self.optimum.vector
         z = float(ndtri(probability) if by == "curvature" else stdtrit(max(self.clusters - 1, 1), probability))
-        sigma = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
-        half_width = np.where(self.undetermined, np.inf, z * sigma)
+        half_width = np.where(self.undetermined, np.inf, z * np.sqrt(np.maximum(np.diagonal(cov), 0.0)))
         half_width = np.where(self.at_bound | (not self.at_optimum), np.nan, half_width)
-        values = physical(self.parameters, vector)
         low, high = (physical(self.parameters, vector + sign * half_width) for sign in (-1.0, 1.0))
-        errors = self.standard_errors(by)
-        intervals = {}
-        for p, middle, a, b in zip(self.parameters, values, low, high, strict=True):
-            ends = np.asarray(a, float), np.asarray(b, float)
+        errors, intervals = self.standard_errors(by), dict[str, Interval]()
+        for k, p in enumerate(self.parameters):
+            intervals[p.label] = np.asarray(low[k], float), np.asarray(high[k], float)
             if isinstance(p.example, Covariance):
-                half = z * errors[p.label]
-                ends = np.asarray(middle) - half, np.asarray(middle) + half
-            intervals[p.label] = ends
+                value = np.asarray(physical(self.parameters, vector)[k])
+                intervals[p.label] = value - z * errors[p.label], value + z * errors[p.label]
         return intervals
 
 
@@ -246,8 +246,7 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     Only trajectories usable at all of the vectors count, so that all differences are of the same function.
     """
     vector = np.asarray(vector, float)
-    moving = list(problem.moving)
-    shifts = STEP * np.eye(len(vector))[moving]
+    shifts = STEP * np.eye(len(vector))
     vectors = np.concatenate([vector[None], vector + shifts, vector - shifts])
     evaluation = problem.evaluate(vectors)
     used = np.asarray(evaluation.used.all(axis=0))
@@ -257,25 +256,14 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     gradients = np.einsum("sk,skp->sp", by_sum, term_gradients.sum(axis=-1))
     pull = problem.prior_penalty(vectors, sums)
     values, gradients = values + pull.values, gradients + pull.gradients
-    rows = _differences(gradients, moving)
+    ahead, behind = np.split(gradients[1:], 2)
+    rows = (ahead - behind) / (2 * STEP)
     # Without a single usable trajectory there is no likelihood.
     nats = problem.nats_per_unit(sums[0]) if used.any() else np.nan
     psi = influence(problem.objective, terms[0], term_gradients[0])
     hessian, precision = 0.5 * (rows + rows.T), problem.prior.weights(vector)[0]
     prior = precision / nats if precision.any() else precision
     return Optimum(vector, float(values[0]), gradients[0], hessian, psi, nats, used, evaluation.at(0), prior)
-
-
-def evaluations(problem: Problem) -> int:
-    """The number of vectors that `optimum` evaluates."""
-    return 2 * len(problem.moving) + 1
-
-
-def _differences(gradients: Float[np.ndarray, "many p"], moving: Sequence[int]) -> Float[np.ndarray, "p p"]:
-    """Second derivatives, in the rows `moving`, from gradients at a vector, ahead of it and behind it."""
-    rows, (ahead, behind) = np.zeros((gradients.shape[1],) * 2), np.split(gradients[1:], 2)
-    rows[moving] = (ahead - behind) / (2 * STEP)
-    return rows
 
 
 def influence(
@@ -360,3 +348,74 @@ def _updated(
     left = np.eye(steps.shape[1]) - rho[:, None, None] * steps[:, :, None] * changes[:, None, :]
     new = left @ inverses @ left.transpose(0, 2, 1) + rho[:, None, None] * steps[:, :, None] * steps[:, None, :]
     return np.where(sound[:, None, None], new, inverses)
+
+
+PART = 0.05
+"""Part of what a fit gained that a flat number may have gained, where the objective is no likelihood."""
+
+NATS = 1.92
+"""Rise of a likelihood, nats, within which a value is in the 95 % interval of a profile (Wilks 1938)."""
+
+ROUNDS = 8
+"""Steps of the other numbers with one at its starting value."""
+
+
+class Kept(NamedTuple):
+    """A vector (p,), which of its numbers (p,) are at their starting values, and the number of vectors evaluated."""
+
+    vector: Float[np.ndarray, " p"]
+    at_start: Bool[np.ndarray, " p"]
+    vectors: int
+
+
+def flat_components(uncertainty: Uncertainty) -> list[int]:
+    """The numbers along which the objective is flat at the point, each by itself, those with least effect first."""
+    groups = loose_groups(uncertainty, ~unused(uncertainty.parameters) & ~uncertainty.at_bound)
+    flat = {k: min(sigmas) for group, sigmas in groups.items() if len(sigmas) == len(group) for k in group}
+    return sorted(flat, key=lambda k: -flat[k])
+
+
+def loose_groups(uncertainty: Uncertainty, free: Bool[np.ndarray, " p"]) -> dict[tuple[int, ...], list[float]]:
+    """The numbers among `free` (p,) with a part in a poorly determined direction, and the directions' deviations.
+
+    Groups of numbers by index; the recordings alone count, without the prior.
+    """
+    indices, point = np.flatnonzero(free), uncertainty.optimum
+    if not len(indices) or not np.all(np.isfinite(point.hessian)):
+        return {}
+    inside = np.ix_(indices, indices)
+    cov = (uncertainty.observed if np.all(np.isfinite(uncertainty.observed)) else uncertainty.sandwich)[inside]
+    missing, inverse, _ = determined(point.hessian[inside] - np.diag(point.prior[indices]))
+    if point.prior.any():
+        cov = inverse / point.nats_per_unit
+    directions = [(direction, np.inf) for direction in missing.T]
+    if np.all(np.isfinite(cov)):
+        variances, vectors = np.linalg.eigh(cov)
+        wide = zip(vectors.T[::-1], variances[::-1], strict=True)
+        directions += [(vector, variance**0.5) for vector, variance in wide if variance > LARGE_SIGMA**2]
+    groups: dict[tuple[int, ...], list[float]] = {}
+    for direction, sigma in directions:
+        part = np.abs(direction) > MIN_COMPONENT
+        groups.setdefault(tuple(indices[part].tolist()), []).append(float(sigma))
+    return groups
+
+
+def kept_at_start(problem: Problem, uncertainty: Uncertainty, start: Float[np.ndarray, " p"], gain: float) -> Kept:
+    """The optimum with its flat numbers at their values of `start` (p,), and the others fitted again.
+
+    Flat are numbers along which the objective has no curvature at the optimum, or hardly any. One keeps its starting
+    value where that costs less than `NATS` of a likelihood, or `PART` of the `gain` of the fit of another objective.
+    """
+    vector, kept, vectors = uncertainty.optimum.vector, np.zeros(len(start), bool), 0
+    nats = uncertainty.optimum.nats_per_unit
+    limit = uncertainty.optimum.value + (NATS / nats if np.isfinite(nats) else PART * gain)
+    for component in flat_components(uncertainty):
+        if problem.stochastic or vector[component] == start[component]:
+            continue
+        fixed = kept | (np.arange(len(start)) == component)
+        trial, used = np.where(fixed, start, vector)[None], uncertainty.optimum.used[None].astype(float)
+        refitted = refit(problem, trial, uncertainty.optimum.hessian, ~(uncertainty.at_bound | fixed), used, ROUNDS)
+        vectors += ROUNDS + 1
+        if refitted.values[0] <= limit:
+            vector, kept = refitted.vectors[0], fixed
+    return Kept(vector, kept, vectors)

@@ -2,18 +2,23 @@
 
 A fit is run on other recordings. Errors that last tell less than as many independent ones, and levels differ from
 recording to recording: the more of these, the more a fit to them is to be trusted, and the less if they contradict it.
+
+Correlated innovations inflate the variance of the likelihood's scores: a noise level's is about NIS − dof of each
+row. Sums of it over windows of time have the variance of independent rows times an inflation, which grows with the
+window up to the errors'.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Num
 
-from trackwright.tuning.fit_cautions import rows_and_inflation
+from trackwright.trackers.core.data.recording import Batch
 from trackwright.tuning.optimisation import FitState, MultiStart, initial_state
-from trackwright.tuning.problem import Problem, weighted_sum
+from trackwright.tuning.problem import BESIDE, Point, Problem, plain_rows, weighted_sum
 from trackwright.tuning.uncertainty import optimum, refit
 
 MOST_ROWS = 4.0
@@ -37,7 +42,7 @@ def discount(problem: Problem, vector: Float[np.ndarray, " p"], recordings: int)
 
     With an objective that needs truth none of the `recordings` counts for more than `MOST_ROWS`.
     """
-    rows = np.concatenate(problem.parts.rows).astype(float)
+    rows = np.concatenate(problem.rows).astype(float)
     part = min(problem.weights @ rows / (problem.weights**2 @ rows), 1.0) / rows_and_inflation(problem, vector)[1]
     if not problem.objective.needs_truth:
         return float(part)
@@ -56,7 +61,7 @@ def tempered_anew(driver: MultiStart, state: FitState) -> FitState:
     if problem.objective.needs_truth or not (part := discount(problem, vector, 1)) > MORE * problem.discount:
         return state
     problem.discount = part
-    again = initial_state(driver, vector[None], 1)
+    again = initial_state(driver, vector, 1)
     while not driver.done(again):
         again = driver.step(again)
     best = _with_best(state, winner, again.best_vectors[0], again.best_scores[0])
@@ -108,3 +113,102 @@ def _with_best(state: FitState, winner: int, vector: Float[np.ndarray, " p"], sc
     best_vectors, best_scores = state.best_vectors.copy(), state.best_scores.copy()
     best_vectors[winner], best_scores[winner] = vector, score
     return state._replace(best_vectors=best_vectors, best_scores=best_scores)
+
+
+WINDOWS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""Lengths of the windows, s, each twice the one before."""
+
+MIN_WINDOWS = 20
+"""Windows of a length for an estimate of a variance to a third."""
+
+FLAT = 1.05
+"""Growth of the inflation from a window to one of twice the length below which it has reached the errors'."""
+
+NO_SCATTER = 1e-12
+"""Scatter of ratios, relative to the sum of their squares, below which they are equal but for rounding."""
+
+MIN_ROWS = 4
+"""Rows of a window, on average, below which it is too short."""
+
+
+class WindowSums(NamedTuple):
+    """Of the ratios x of square and dof of rows: number, Σ x and Σ x²; and sums over the windows of each of W lengths.
+
+    `windows` (4, W): their number, Σ S², Σ S n and Σ n², where S is the sum of the n ratios in a window.
+    """
+
+    rows: float
+    total: float
+    squares: float
+    windows: Float[np.ndarray, "4 W"]
+
+    @property
+    def inflations(self) -> Float[np.ndarray, " W"]:
+        """The variance of sums over windows relative to independent rows'; NaN with few windows."""
+        mean = self.total / self.rows
+        count, of_squares, of_products, of_sizes = self.windows
+        scatter = self.squares - self.total * mean
+        if scatter <= NO_SCATTER * self.squares:
+            return np.full(len(count), np.nan)
+        inflations = (of_squares - 2 * mean * of_products + mean**2 * of_sizes) / scatter
+        return np.where(count < MIN_WINDOWS, np.nan, inflations)
+
+
+def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tuple[int, float]:
+    """The rows that count at the vector (p,), and how many of them carry the information of one.
+
+    1 for white errors. Windows are lengthened until the inflation is flat, or the recordings are too short for
+    longer ones; it is extrapolated in the inverse of the length, which removes most of what correlation beyond a window
+    adds.
+    """
+    # Of few trajectories by the program that the starts were compared with.
+    function, reduced = (plain_rows, _sums_of_rows) if problem.few else (_squares_of_rows, _sums)
+    by_chunk = [chunk_sums for (chunk_sums,) in problem.compute(function, [np.atleast_2d(vector)], reduced)]
+    sums = WindowSums(*(np.sum(np.stack(parts), axis=0) for parts in zip(*by_chunk, strict=True)))
+    if sums.rows < MIN_WINDOWS:
+        return int(sums.rows), 1.0
+    before = last = 1.0
+    for count, now in zip(sums.windows[0], sums.inflations, strict=True):
+        if sums.rows < MIN_ROWS * count:
+            continue
+        if np.isnan(now):
+            break
+        flat, before, last = now < FLAT * last, last, float(now)
+        if flat:
+            break
+    return int(sums.rows), max(1.0, last, 2 * last - before)
+
+
+def window_sums(
+    times: Float[np.ndarray, " n"],
+    ratios: Float[np.ndarray, " n"],
+    track: Num[np.ndarray, " n"],
+    windows: Sequence[float] = WINDOWS_S,
+) -> WindowSums:
+    """The sums over windows of so many seconds; `track` (n,): the number of each row's trajectory, in order."""
+    of_windows = np.zeros((4, len(windows)))
+    for k, window in enumerate(windows if len(times) else ()):
+        first = np.flatnonzero(np.append(True, (np.diff(np.floor(times / window)) != 0) | (np.diff(track) != 0)))
+        sums, sizes = np.add.reduceat(ratios, first), np.diff(np.append(first, len(times)))
+        of_windows[:, k] = len(first), sums @ sums, sums @ sizes, sizes @ sizes
+    return WindowSums(len(times), float(ratios.sum()), float(ratios @ ratios), of_windows)
+
+
+def _sums_of_rows(results: Any, chunk: Batch) -> WindowSums:
+    """As `_sums`, from `plain_rows`."""
+    return _sums(results[0][0, -BESIDE:], chunk)
+
+
+def _sums(results: Any, chunk: Batch) -> WindowSums:
+    """The sums of the rows of a chunk that have an error."""
+    squares, dof = (np.asarray(x) for x in results)
+    known = np.isfinite(squares) & (dof > 0) & np.asarray(chunk.valid)
+    track, row = np.nonzero(known.T)
+    times = np.cumsum(np.asarray(chunk.dt, float), axis=0)[row, track]
+    return window_sums(times, squares[row, track].astype(float) / dof[row, track], track)
+
+
+def _squares_of_rows(point: Point, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+    """Square and degrees of freedom of every row's error (T, B) at the point's first vector."""
+    squares = point.objective.squares
+    return point.tracker_at(point.vectors[0]).accumulate(batch, squares, every_row=True)

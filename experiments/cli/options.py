@@ -242,7 +242,7 @@ class TuneOptions(WithNumbers):
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too; default: by the truth.
         weigh: recordings or rows: which of them have the same weight.
-        starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
+        starts: number of starts: the given values, then the best of a coarse grid.
         optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for particles.
         steps: maximum number of steps per start.
         resume: continue from the checkpoint in --out, with bit-identical results.

@@ -30,13 +30,13 @@ from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.input_file import identity
 from trackwright.tuning import parameters as numbers
 from trackwright.tuning.data import FitData, fit_data
+from trackwright.tuning.fit_warnings import cautions, without_intervals
 from trackwright.tuning.fitting import Place
-from trackwright.tuning.identifiability import cautions, identifiability_issues
-from trackwright.tuning.intervals import Interval, intervals_of, without_intervals
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.problem import is_stochastic
 from trackwright.tuning.sweeping import grid_vectors, swept_parameters
 from trackwright.tuning.tuned_file import tuned_content
+from trackwright.tuning.uncertainty import Interval
 
 INTERRUPTED = 130  # the exit code of a command that Ctrl-C ended, as shells have it
 
@@ -167,14 +167,13 @@ def _write_run(
     objective, unit = data.named, "rad" if data.training[0].station else "m"
     if options.prior != "flat" and data.objective.is_likelihood:
         objective += " + prior"
-    intervals = intervals_of(result)
+    intervals, issues = result.intervals, result.issues
     calibrated = None if used.calibration is None else identity(used.calibration)
     content = compared.content() | tuned_content(name, objective, result, intervals, calibrated)
     tw.write_tuned(out / "tuned.toml", content)
     drawn = _write_trace(out, result, objective, unit, file_format(options.figures))
-    issues, lines = [], without_intervals(uncertainty, intervals)
+    lines = without_intervals(uncertainty, intervals)
     if uncertainty is not None:
-        issues = identifiability_issues(uncertainty, result.evaluation.term_gradients, bool(data.held_out))
         lines = [*result.cautions, *lines]
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
     use += "" if used.calibration is None else f" --calibration {used.calibration}"

@@ -12,16 +12,13 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.recordings.calibration import Calibration
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning import checkpoint
 from trackwright.tuning.calibrating import by_halves, by_others
 from trackwright.tuning.data import FitData
-from trackwright.tuning.fitting import FitOptions, FitResult, Place, fit
-from trackwright.tuning.guessing import first_guess
-from trackwright.tuning.intervals import left_out_blocks, left_out_values
+from trackwright.tuning.fitting import FitOptions, FitResult, Place, fit, left_out_blocks, left_out_values
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.parameters import flatten, parse_bounds, require_start_within, select_parameters
 
@@ -51,7 +48,7 @@ def kept_fit(
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> FitResult:
-    """As `fit`, with a checkpoint in `folder` after every step, and first guesses where there are several starts.
+    """As `fit`, with a checkpoint in `folder` after every step.
 
     `config`: what the fit depends on beside its data. `resume`: go on from the checkpoint, of the same fit. Raises
     UnusableInput for another fit's, and where the objective or all gradients are not finite.
@@ -62,12 +59,6 @@ def kept_fit(
     saved = checkpoint.load(folder, fingerprint) if resume else None
     if resume and saved is None:
         say(f"{folder}: no checkpoint found; the fit starts from the beginning")
-    if options.starts > 1 and saved is None:
-        tuned = {
-            name for parameter in select_parameters(data.tracker, tune, options.frozen) for name in parameter.names
-        }
-        kept = [name for name in tunables(data.tracker) if name not in tuned]
-        options = replace(options, guesses=[first_guess(data.tracker, training, kept)])
 
     def keep(state: FitState) -> None:
         checkpoint.save(folder, checkpoint.to_arrays(state), fingerprint)

@@ -110,14 +110,6 @@ def rounded(value: float, spread: float) -> str:
     return f"{value:.{min(max(1 - math.floor(math.log10(size) + 0.5), 0), 6)}f}"
 
 
-def percent_change(before: float, after: float) -> str:
-    """The relative change in per cent with its sign; empty where it is undefined."""
-    if not (math.isfinite(before) and math.isfinite(after) and before > 0):
-        return ""
-    change = 100 * (after / before - 1)
-    return f"{change:+.{0 if abs(change) >= 10 else 1}f} %".replace("-", "−")
-
-
 def duration(seconds: float) -> str:
     """Seconds, minutes or hours with one digit after the point."""
     if seconds < 120:

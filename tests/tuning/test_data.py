@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import trackwright as tw
-from tests.tuning.worlds import line_tracker, walks
+from tests.tuning.worlds import figure, line_tracker, walks
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.monte_carlo.chunk import tracked_runs
 from trackwright.experiments.monte_carlo.errors import scored
@@ -20,10 +20,8 @@ from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.tuning.batches import trajectory_weights
-from trackwright.tuning.data import fit_arrays, fit_data
-from trackwright.tuning.identifiability import identifiability_issues
-from trackwright.tuning.named_objectives import all_metrics, parse_objective
+from trackwright.tuning.data import fit_arrays, fit_data, trajectory_weights
+from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.parameters import flatten, select_parameters, tuned_by_default
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import optimum
@@ -56,10 +54,9 @@ def test_a_fit_over_the_floor_judges_truth_without_heights_as_evaluate_does(heig
     folder = _folder(1.2, heights)
     tracker = tw.build("fix-kf", folder)
     data = fit_data(tracker.only_batch(folder), "rmse")
-    found = all_metrics(data.tracker, data.batches(), "position", 2)
     evaluation = tw.evaluate(tracker.run(folder), folder)
     assert evaluation["n"] == ROWS
-    assert found["rmse"] == pytest.approx(evaluation["rmse_m"], rel=1e-9)
+    assert figure(data.tracker, data.batches(), data.objective) == pytest.approx(evaluation["rmse_m"], rel=1e-9)
 
 
 @pytest.mark.parametrize("height", [1.2, None], ids=["over the floor", "in space"])
@@ -177,8 +174,7 @@ def test_a_weight_of_three_is_three_trajectories(objective, copies):
     np.testing.assert_allclose(weighted.values(vectors), repeated.values(vectors), rtol=1e-12)
     model, copy = optimum(weighted, vectors[0]), optimum(repeated, vectors[0])
     np.testing.assert_allclose(model.hessian, copy.hessian, rtol=1e-7, atol=1e-10)
-    found = all_metrics(tracker, [stack(made)], "position", 1, weights=[weights])
-    assert found[objective] == pytest.approx(other.values[0], rel=1e-9)
+    assert figure(tracker, [stack(made)], goal, [weights]) == pytest.approx(other.values[0], rel=1e-9)
 
 
 @pytest.mark.slow
@@ -217,8 +213,8 @@ def test_vertical_noise_keeps_its_start_where_the_position_over_the_floor_is_jud
     result = tw.fit(named, folder, objective, tune, options)
     assert result.values["motion.sigma_z"] == result.before.motion.sigma_z.value
     assert result.values["motion.sigma_a"] != result.before.motion.sigma_a.value
-    texts = [issue.text for issue in identifiability_issues(result.uncertainty, result.evaluation.term_gradients)]
-    assert "motion.sigma_z keeps its starting value: the objective does not determine it" in texts
+    texts = [issue.text for issue in result.issues]
+    assert "motion.sigma_z: kept at the starting value, which the objective does not determine" in texts
     assert f"\n  caution: {texts[0]}" in repr(result)
     free = tw.fit(named, folder, objective, "motion.sigma_z", options)
     assert np.all(free.limits[0] < free.limits[1]), "alone it is not held"

@@ -14,7 +14,7 @@ import trackwright as tw
 from tests.experiments.cli.small_archive import random_walk
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.tuning.data import fit_data
-from trackwright.tuning.intervals import left_out_blocks
+from trackwright.tuning.fitting import left_out_blocks
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 
 import trackwright as tw
 from tests.oracles import kalman
-from tests.tuning.worlds import SIGMA_START, line_tracker, walks
+from tests.tuning.worlds import SIGMA_START, figure, line_tracker, walks
 from trackwright.sim.agv import simulate_agv
 from trackwright.sim.stations import simulate_phases, work_station
 from trackwright.sim.worlds import ranges as ranges_world
@@ -20,7 +20,7 @@ from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.evaluation.evaluate import rows_of
 from trackwright.trackers.evaluation.rows import covariances
 from trackwright.tuning.data import fit_data
-from trackwright.tuning.named_objectives import HEIGHT_WEIGHT, all_metrics, parse_objective
+from trackwright.tuning.named_objectives import HEIGHT_WEIGHT, parse_objective
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
@@ -181,17 +181,17 @@ def _density(errors, P):
 
 
 def _shown(tracker, folder):
-    """RMSE and negative log density, in NumPy from the table of estimates and the table of truth."""
+    """RMSE and negative log density by objective and dimensions, in NumPy from the table of estimates and the table of truth."""
     rows = rows_of(tracker.run(folder), folder).filter(pl.col("why").is_null())
     if "azimuth_rad" in rows.columns:
         errors = rows.select("error_azimuth_rad", "error_elevation_rad").to_numpy()
-        return {"rmse": np.sqrt(np.mean(np.sum(errors**2, axis=1)))}
+        return {("rmse", 2): np.sqrt(np.mean(np.sum(errors**2, axis=1)))}
     errors, P = rows.select(f"error_{a}_m" for a in "xyz").to_numpy(), covariances(rows)
     plane, space = (_density(errors[:, :d], P[:, :d, :d]) for d in (2, 3))
     return {
-        "rmse": np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))),
-        "rmse-3d": np.sqrt(np.mean(np.sum(errors**2, axis=1))),
-        "state-nll": np.mean(plane + HEIGHT_WEIGHT * (space - plane)),
+        ("rmse", 2): np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))),
+        ("rmse", 3): np.sqrt(np.mean(np.sum(errors**2, axis=1))),
+        ("state-nll", 3): np.mean(plane + HEIGHT_WEIGHT * (space - plane)),
     }
 
 
@@ -223,10 +223,10 @@ def test_the_objective_is_the_figure_of_the_estimates_shown(name, values, smooth
     data = fit_data(tracker.only_batch([folder]), "rmse", dimensions=3)
     model = Smoothed(data.tracker) if smooth else data.tracker
     quantity = "direction" if name == "beam" else "position"
-    found = all_metrics(model, data.batches(), quantity, 2 if name == "beam" else 3)
     shown = _shown(tracker.smoothing() if smooth else tracker, folder)
-    for objective, figure in shown.items():
-        assert found[objective] == pytest.approx(figure, rel=rtol, abs=rtol), objective
+    for (objective, dimensions), wanted in shown.items():
+        goal = parse_objective(objective, quantity, dimensions)
+        assert figure(model, data.batches(), goal) == pytest.approx(wanted, rel=rtol, abs=rtol), objective
 
 
 def test_a_sum_adds_its_parts_in_the_order_of_the_text():
@@ -244,4 +244,6 @@ def test_a_tag_whose_true_place_is_the_origin_has_an_error():
     walk.truth["position"] = np.zeros((8, 1)), np.ones(8, bool)
     tracker, batch = line_tracker(), stack([walk])
     places = np.asarray(tracker.run(batch).mean.position[0])
-    assert all_metrics(tracker, batch, dimensions=1)["rmse"] == pytest.approx(np.sqrt(np.mean(places**2)), rel=1e-6)
+    assert figure(tracker, [batch], RootMeanSquareError("position", 1)) == pytest.approx(
+        np.sqrt(np.mean(places**2)), rel=1e-6
+    )

@@ -23,7 +23,6 @@ from trackwright.tuning.optimisers import AbstractOptimiser
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.priors import Prior
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import optimum
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 
@@ -57,20 +56,6 @@ class SignalledStart(LineStart):
 
     def can_start(self, row):
         return row.inputs["may_start"][0] > 0.5
-
-
-@pytest.mark.parametrize("chunk", [4, 512], ids=["few", "many"])
-def test_derivatives_by_the_numbers_that_move_are_those_of_all_and_the_others_are_zero(chunk):
-    tracker = line_tracker()
-    parameters = select_parameters(tracker, LEVELS)
-    problem = Problem(tracker, [stack(walks([8] * 10, 2))], NegativeLogLikelihood(), parameters, chunk)
-    vector = flatten(parameters)
-    whole, curved = problem.evaluate(vector), optimum(problem, vector).hessian
-    problem.moving = (1,)
-    part = problem.evaluate(vector)
-    np.testing.assert_array_equal(part.terms, whole.terms)
-    np.testing.assert_allclose(part.term_gradients, whole.term_gradients * [[0.0], [1.0]], rtol=1e-12)
-    np.testing.assert_allclose(optimum(problem, vector).hessian, curved * [[0.0, 0.0], [0.0, 1.0]], rtol=1e-9)
 
 
 def test_an_error_objective_counts_the_rows_of_a_lost_track():

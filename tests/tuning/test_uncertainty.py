@@ -11,7 +11,7 @@ from scipy import stats
 from tests.tuning.worlds import line_tracker, walks
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
-from trackwright.tuning.identifiability import flat_components, identifiability_issues, kept_at_start
+from trackwright.tuning.fit_warnings import identifiability_issues
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.parameters import Parameter, flatten, select_parameters
 from trackwright.tuning.priors import Prior
@@ -19,6 +19,8 @@ from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import (
     Optimum,
     Uncertainty,
+    flat_components,
+    kept_at_start,
     optimum,
     refit,
     uncertainty_at,
@@ -87,11 +89,6 @@ class Numbers:
             used=np.ones((len(vectors), n), bool),
             filter_runs=n * len(vectors),
         )
-
-    @property
-    def moving(self):
-        """All numbers."""
-        return range(len(self.logs))
 
     @property
     def valid(self):
@@ -172,7 +169,7 @@ def test_numbers_that_only_the_prior_determines_are_named(numbers):
     problem.prior = Prior(at, np.full(2, 0.7**-2), 1e12)
     found = _uncertainty(problem, at)
     issues = identifiability_issues(found, problem.evaluate(at).term_gradients)
-    assert [j.text for j in issues] == ["a and b are not determined one by one: the data determine only a / b"]
+    assert [j.text for j in issues] == ["a, b: not determined one by one"]
     # along a × b it is the prior's
     assert found.standard_errors()["a"] / np.exp(at[0]) == pytest.approx(0.7 / np.sqrt(2), rel=1e-2)
 
@@ -250,10 +247,9 @@ def _product(y, weights):
 @pytest.mark.parametrize(
     ("weights", "sentence"),
     [
-        ([1, 1], "a and b are not determined one by one: the data determine only a × b"),
-        ([1, -1], "a and b are not determined one by one: the data determine only a / b"),
-        ([1, 2], "a and b are not determined one by one: the data determine only a^0.5 × b"),
-        ([1, 0], "b has no effect on the objective"),
+        ([1, 1], "a, b: not determined one by one"),
+        ([1, -1], "a, b: not determined one by one"),
+        ([1, 0], "b: no effect on the objective"),
     ],
 )
 def test_undetermined_parameters_are_described_in_words(numbers, weights, sentence):
@@ -262,7 +258,7 @@ def test_undetermined_parameters_are_described_in_words(numbers, weights, senten
     issues = identifiability_issues(found, problem.evaluate(start).term_gradients)
     texts = [j.text for j in issues]
     assert len(texts) == 1
-    assert texts[0].replace("b × a^0.5", "a^0.5 × b") == sentence
+    assert texts[0] == sentence
     undetermined = [k for k, e in found.standard_errors().items() if np.isnan(e)]
     assert set(undetermined) == set(issues[0].names)
     low, high = found.intervals()[undetermined[0]]
@@ -283,7 +279,7 @@ def test_a_flat_number_keeps_its_starting_value_and_the_others_are_fitted_with_i
     assert kept.vector[0] == pytest.approx(at @ [1, 0.002], abs=1e-4), "σ, as b^0.002 is 1"
     again = uncertainty_at(problem, optimum(problem, kept.vector), None, kept.at_start)
     issues = identifiability_issues(again, problem.evaluate(kept.vector).term_gradients)
-    assert [j.text for j in issues] == ["b keeps its starting value: the objective does not determine it"]
+    assert [j.text for j in issues] == ["b: kept at the starting value, which the objective does not determine"]
     assert np.isnan(again.standard_errors()["b"])
     assert again.standard_errors()["a"] > 0.0
 
@@ -314,7 +310,7 @@ def test_a_parameter_at_its_bound_is_named_and_the_others_are_conditional_on_it(
     high = best + [0.5, 0.0]
     found = uncertainty_at(problem, optimum(problem, high), np.array([True, False]))
     assert [j.text for j in identifiability_issues(found, problem.evaluate(high).term_gradients)] == [
-        "sigma is at its bound: the optimum is lower"
+        "sigma: at the bound, the optimum is lower"
     ]
     assert np.isnan(found.intervals()["sigma"]).all()
     expected = np.exp(high[0]) / np.sqrt(numbers.size)
@@ -330,7 +326,7 @@ def test_a_point_away_from_the_optimum_has_no_interval(numbers):
     assert far.distance_to_optimum == pytest.approx(3.0, rel=0.2)
     assert all(np.isnan(ends).all() for ends in far.intervals().values())
     text = identifiability_issues(far, problem.evaluate(best).term_gradients)[0].text
-    assert text.startswith("the numbers are not at the optimum of the recordings tuned on (3")
+    assert text.startswith("the values are 3")
 
 
 def test_a_fit_that_ended_on_a_slope_without_curvature_is_not_at_the_optimum(numbers):
@@ -340,7 +336,7 @@ def test_a_fit_that_ended_on_a_slope_without_curvature_is_not_at_the_optimum(num
     flat = uncertainty_at(problem, point._replace(hessian=np.diag([0.0, point.hessian[1, 1]]), gradient=slope))
     assert flat.distance_to_optimum == np.inf
     issues = identifiability_issues(flat, problem.evaluate(best).term_gradients)
-    assert ["far away" in j.text for j in issues] == [True]
+    assert ["are far away" in j.text for j in issues] == [True]
 
 
 def test_an_interval_is_the_wider_of_curvature_and_scatter(numbers):

@@ -16,6 +16,7 @@ from trackwright.trackers.core.model.motion import ConstantPosition, Placed
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
 from trackwright.trackers.core.model.tunable import Real, Scale
 from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.tuning.problem import Problem
 
 STATION = work_station().stations["1"]
 SIGMA_START = 0.5
@@ -96,3 +97,8 @@ def walks(
         truth = {"position": (place[:, None], np.ones(rows, bool))}
         recordings.append(Recording(made.times, made.readings, made.inputs, truth))
     return recordings
+
+
+def figure(tracker, batches, objective, weights=None) -> float:
+    """The objective of a tracker over batches."""
+    return float(Problem(tracker, batches, objective, [], weights=weights).values(np.zeros((1, 0)))[0])

@@ -120,7 +120,6 @@ class ElsewherePolicy(AbstractTrackLoss):
     at three quarters of the limit. On a known path a gap is no track loss; see also `leaving.py`.
     """
 
-    limit: ClassVar[str] = "score_limit"
     score_limit: Threshold
     max_gap: Threshold
     points: int = eqx.field(static=True)

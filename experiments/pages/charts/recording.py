@@ -195,7 +195,7 @@ def nis_histogram(scored: ScoredRecording) -> Chart:
     known = np.isfinite(nis) & (dof > 0)
     if not known.any():
         return Chart("nis-histogram", "NIS of all rows", "NIS of a row", "density", [], **WIDE)
-    innovations = Innovations(nis[known], dof[known], np.zeros(known.sum(), int), scored.student_t_dof)
+    innovations = Innovations(nis[known], dof[known], scored.student_t_dof)
     return nis_chart("nis-histogram", "NIS of all rows", innovations, **WIDE)
 
 

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from trackwright.experiments.pages.charts import style
-from trackwright.experiments.pages.charts.distributions import Curve, distribution, histograms, nis_chart
+from trackwright.experiments.pages.charts.distributions import Curve, distribution
 from trackwright.experiments.pages.charts.floor import plan, track_paths, true_path
-from trackwright.experiments.pages.charts.style import Chart, Field, Line, band, broken_at_gaps, is_logarithmic, rule
+from trackwright.experiments.pages.charts.style import Chart, Field, Line, band, broken_at_gaps, is_logarithmic
 from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChange
 from trackwright.experiments.pages.scored_tracks import root_mean_square
 from trackwright.experiments.text.wording import fixed, length_unit, number
 from trackwright.trackers.core.wording import counted
-from trackwright.tuning.diagnostics import Innovations, autocorrelation, nis_probabilities
-from trackwright.tuning.sweeping import Surface, Sweep
+from trackwright.tuning.sweeping import Sweep
 
 ELLIPSES, POINTS, LAGS = 12, 1000, 30
 """The most ellipses of a side in a floor plan, about the most points of a path or line, and lags of NIS, rows."""
@@ -48,29 +46,6 @@ def plan_chart(change: TrackChange) -> Chart:
     look: dict[str, Any] = {"width": 5.0, "caption": f"{'; '.join(filter(None, words))}."}
     truths, rig = true_path(change.after, change.track), change.after.folder.rig
     return plan("plan", f"Floor plan of {change.errors.name}", paths, truths, rig, **look)
-
-
-def innovation_charts(before: Innovations, after: Innovations) -> list[Chart]:
-    """NIS against its distribution, its probabilities, and its autocorrelation."""
-    bins, lags = np.linspace(0, 1, 21), np.arange(1, LAGS + 1)
-    small: dict[str, Any] = {"width": style.NARROW, "height": 0.92 * style.NARROW}
-    new, old = (np.histogram(nis_probabilities(side), bins, density=True)[0] for side in (after, before))
-    uniform = [*histograms(bins, [new, old]), rule(1.0, (0, 1), name="consistent", colour=style.VERMILION, width=1.6)]
-    (earlier, _), (later, pairs) = autocorrelation(before, LAGS), autocorrelation(after, LAGS)
-    wide = 1.96 / np.sqrt(max(pairs, 1))
-    white = band([0, LAGS + 1], -wide, wide, "95 % band of white noise", style.VERMILION, 0.16)
-    sides = (earlier, "before", style.BEFORE), (later, "after", style.BLUE)
-    points = [Line(lags, y, name, colour, 0.8, marker="circle", size=3) for y, name, colour in sides]
-    names = "probabilities", "Probabilities of NIS", "probability of a smaller NIS", "density"
-    large = "An overconfident filter has more large values than the vermilion line."
-    rising = "Uniform for a consistent filter; rising to the right: covariances too small, to the left: too large."
-    lasting = "Of NIS as normal values. Points above the band: errors are correlated in time, contrary to the model."
-    others = "autocorrelation", "Autocorrelation of NIS", "lag (rows)", ""
-    return [
-        nis_chart("nis", "NIS against its distribution", after, before, **small, caption=large),
-        Chart(*names, uniform, **small, caption=rising),
-        Chart(*others, [white, *points], **small, caption=lasting),
-    ]
 
 
 def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> Chart:
@@ -159,15 +134,6 @@ def selected_step(best: OptimiserTrace, after: Sequence[float]) -> int:
     return int(np.argmin((np.abs(best.values - after) / size).max(axis=1)))
 
 
-def surface_chart(
-    surface: Surface, labels: Sequence[str], best: Sequence[float], objective: str, traces: Sequence[OptimiserTrace]
-) -> Chart:
-    """The objective over one parameter as a curve, over two as contours with the steps of all starts."""
-    paths, title = [t.values[:, list(surface.axes)] for t in traces], f"Objective over {' and '.join(labels)}"
-    chart = _objective("surface", title, labels, surface.grids, surface.values, best, objective, paths)
-    return replace(chart, caption="With the optimiser's steps; other parameters at their tuned values.")
-
-
 def sweep_plot(path: Path | str, swept: Sweep, objective: str) -> Path:
     """Writes the objective over the grid, its minimum marked, with its spread over repeats; returns the path.
 
@@ -181,7 +147,7 @@ def sweep_plot(path: Path | str, swept: Sweep, objective: str) -> Path:
     labels = [named(p.label, p.example.unit) for p in swept.parameters]
     spread = swept.spread if len(swept.values) > 1 else None
     title = f"{objective}: minimum {mean[at]:.5g} at {shown}"
-    return write(_objective(path.stem, title, labels, swept.grids, mean, best, objective, (), spread), path)
+    return write(_objective(path.stem, title, labels, swept.grids, mean, best, objective, spread), path)
 
 
 def named(name: str, unit: str) -> str:
@@ -191,13 +157,12 @@ def named(name: str, unit: str) -> str:
 
 def _objective(
     name: str, title: str, labels: Sequence[str], grids: Sequence[np.ndarray], values: np.ndarray,
-    best: Sequence[float], objective: str, paths: Sequence[np.ndarray] = (), spread: np.ndarray | None = None,
+    best: Sequence[float], objective: str, spread: np.ndarray | None = None,
 ) -> Chart:  # fmt: skip
     """The objective over one parameter (n,) as a curve, or over two (n, m) as contours; `best`: the marked point.
 
-    `paths`: optimiser traces (i, p), the best one first; along a curve they are drawn at its values, since a fit may
-    have had another objective. `spread` (n,): over repeats. Levels of contours are equidistant in the square root of
-    the excess over the minimum: evenly spaced for a quadratic.
+    `spread` (n,): over repeats. Levels of contours are equidistant in the square root of the excess over the minimum:
+    evenly spaced for a quadratic.
     """
     least, parts = float(np.nanmin(values)), list[Line | Field]()
     log = "".join(axis for axis, grid in zip("xy", grids, strict=False) if is_logarithmic(grid))
@@ -207,16 +172,11 @@ def _objective(
         if spread is not None:
             parts.append(band(grid, values - spread, values + spread, "± standard deviation over repeats"))
         parts.append(Line(grid, values, "", style.INK, 1.4, marker="circle" * (len(grid) <= 40), size=3.5))
-        paths = [np.column_stack([path, np.interp(path[:, 0], grid, values, np.nan, np.nan)]) for path in paths]
         best, labels = [*best, least], [*labels, objective]
     else:
         excess = np.sqrt(np.maximum(values - least, 0.0))
         levels = np.linspace(0, float(np.nanquantile(excess, 0.97)) or 1.0, 12)
         ticks = {float(level): f"{least + level**2:.4g}" for level in levels}
         parts.append(Field(grids[0], grids[1], excess.T, objective, "Blues", 0.0, float(levels[-1]), ticks))
-    for k, path in reversed(list(enumerate(paths))):
-        word = {0: "best start" if len(paths) > 1 else "optimiser steps", 1: "other starts"}.get(k, "")
-        colour, width, size, opacity = (style.INK, 0.6, 2.5, 0.5) if k else (style.VERMILION, 1.2, 4.0, 1.0)
-        parts.append(Line(path[:, 0], path[:, 1], word, colour, width, "solid", "circle", size, opacity))
     parts.append(Line([best[0]], [best[1]], "minimum", style.VERMILION, 0.0, marker="circle", size=8))
     return Chart(name, title, labels[0], labels[1], parts, xlim, ylim, log=log, height=3.6)

@@ -12,43 +12,40 @@ from typing import Any, NamedTuple
 import numpy as np
 from markupsafe import Markup
 
+from trackwright.experiments.pages.charts import style
 from trackwright.experiments.pages.charts import tuning as charts
-from trackwright.experiments.pages.charts.tuning import OptimiserTrace, named
+from trackwright.experiments.pages.charts.distributions import nis_chart
+from trackwright.experiments.pages.charts.tuning import OptimiserTrace
 from trackwright.experiments.pages.reports.before_after import NO_PLANS, Compared, TrackChanges
 from trackwright.experiments.pages.reports.pages import report_page
 from trackwright.experiments.text.tables import Section
-from trackwright.experiments.text.wording import MISSING, duration, number, percent_change, uncapitalised, yes_no
+from trackwright.experiments.text.wording import MISSING, duration, number, uncapitalised, yes_no
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.data import FitData
-from trackwright.tuning.diagnostics import Innovations, implied_spread, innovations_of
+from trackwright.tuning.diagnostics import Innovations, innovations_of
+from trackwright.tuning.fit_warnings import Issue
 from trackwright.tuning.fitting import FitResult
-from trackwright.tuning.identifiability import IdentifiabilityIssue
-from trackwright.tuning.intervals import Interval
-from trackwright.tuning.named_objectives import all_metrics
 from trackwright.tuning.parameters import component_names
-from trackwright.tuning.sweeping import Surface, surface_of
+from trackwright.tuning.uncertainty import Interval
 
 TITLES = {
     "nll": ("Negative log-likelihood per measured number", "nats"),
     "rmse": ("RMSE", ""),
-    "rmse-3d": ("3-D RMSE", ""),
     "state-nll": ("Negative log-likelihood of the truth per row", "nats"),
 }
-"""Title and unit of each metric of `tuning.named_objectives`; without a unit it has that of the truth."""
+"""Title and unit of each objective; without a unit it has that of the truth."""
 
-SAME, WORSE, WORSE_BY = 0.1, 0.02, 0.01
-"""The relative difference of values up to which two starts end at one point, and the increase above which a metric
-counts as worse: relative, and in nats, which have no natural zero."""
+SAME = 0.1
+"""The relative difference of values up to which two starts end at one point."""
 
 
 class TunedParameter(NamedTuple):
     """A parameter before and after; `low`, `high`: its 95 % interval, NaN where there is none.
 
-    `determined`: whether the recordings determine it; None where the objective has no information on that. `spread`:
-    in words, that of the readings which the scale of a Student's t implies; empty for other parameters.
+    `determined`: whether the recordings determine it; None where the objective has no information on that.
     """
 
     name: str
@@ -58,26 +55,16 @@ class TunedParameter(NamedTuple):
     low: float = math.nan
     high: float = math.nan
     determined: bool | None = None
-    spread: str = ""
-
-
-class MetricChange(NamedTuple):
-    """A metric before and after, on the recordings tuned on and on those held out; `key`: its name, as `rmse`."""
-
-    key: str
-    title: str
-    unit: str
-    training: tuple[float, float]
-    held_out: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class TuningReportData:
     """Everything that a tuning report shows.
 
-    `traces`: one per start, the best first. `innovations`: before and after, of held-out recordings if there are any.
-    `compared`: recordings before and after, in the figures of `evaluate`; `plans`: their tracks. `cautions`: clauses of
-    the fit on itself. `issues`: sentences on undetermined parameters. `notes`: sentences on irregularities of the run.
+    `values`: of the objective, before and after. `traces`: one per start, the best first. `innovations`: before and
+    after, of held-out recordings if there are any. `compared`: recordings before and after, in the figures of
+    `evaluate`; `plans`: their tracks. `cautions`: clauses of the fit on itself. `issues`: sentences on undetermined
+    parameters. `notes`: sentences on irregularities of the run.
     """
 
     objective: str
@@ -85,9 +72,8 @@ class TuningReportData:
     training: tuple[str, ...]
     held_out: tuple[str, ...]
     parameters: tuple[TunedParameter, ...]
-    metrics: tuple[MetricChange, ...]
+    values: tuple[float, float]
     traces: tuple[OptimiserTrace, ...]
-    surface: Surface | None
     innovations: tuple[Innovations, Innovations] | None
     error_unit: str
     filter_runs: int
@@ -128,12 +114,15 @@ def _sections(data: TuningReportData) -> Iterator[Section]:
     plans, shown = [charts.plan_chart(change) for change in data.plans.shown], len(data.plans.shown)
     some = [f"{shown} of {data.plans.total} tracks are shown."] if 0 < shown < data.plans.total else []
     yield Section("Floor plans before and after", note=lead, parts=[plans, *some])
-    yield _metrics_section(data)
     if data.traces:
         yield _optimisation(data)
     if data.innovations is not None and min(len(side.nis) for side in data.innovations):
-        lead = "For a consistent filter NIS is distributed as the line says and uncorrelated between rows. "
-        yield Section("Consistency of the filter", note=lead + on, parts=[charts.innovation_charts(*data.innovations)])
+        small: dict[str, Any] = {"width": style.NARROW, "height": 0.92 * style.NARROW}
+        caption = "An overconfident filter has more large values than the vermilion line."
+        before, after = data.innovations
+        chart = nis_chart("nis", "NIS against its distribution", after, before, **small, caption=caption)
+        lead = "For a consistent filter NIS is distributed as the line says. "
+        yield Section("Consistency of the filter", note=lead + on, parts=[[chart]])
     errors = [e for e in data.plans.errors if np.isfinite(e.before).any() and np.isfinite(e.after).any()]
     if errors:
         over_time = charts.error_charts(errors, data.error_unit)
@@ -150,35 +139,9 @@ def _parameters_section(parameters: Sequence[TunedParameter]) -> Section:
     for p in parameters:
         interval = f"{number(p.low)} … {number(p.high)}" if math.isfinite(p.low) else MISSING
         determined, unit = MISSING if p.determined is None else yes_no(p.determined), "" if p.unit == "1" else p.unit
-        rows.append([p.name, number(p.before), number(p.after), unit, interval, determined, p.spread])
-    head = ["parameter", "before", "after", "unit", "95 % interval", "determined?", "spread of the readings"]
-    looks = {"after": "after", "determined?": "answer", "spread of the readings": "long"}
-    shown = len(head) if any(p.spread for p in parameters) else len(head) - 1
-    return Section("Tuned parameters", head[:shown], [row[:shown] for row in rows], 1, lead, looks)
-
-
-def _metrics_section(data: TuningReportData) -> Section:
-    lead = "Lower is better. Every row counts, as in the objective; elsewhere rows of the same time count once."
-    sides, rows = ["tuned on: ", "held out: "] if data.held_out else [""], []
-    for m in data.metrics:
-        title = m.title + ("" if m.unit == "1" else f", {m.unit}") + " (objective)" * (m.key == data.objective)
-        pairs = [m.training, m.held_out][: len(sides)]
-        rows.append([title, *(cell for pair in pairs for cell in (*map(number, pair), changed(m.unit, *pair)))])
-    head = ["metric", *(side + word for side in sides for word in ("before", "after", "change"))]
-    return Section("Metrics before and after", head, rows, 1, lead)
-
-
-def changed(unit: str, before: float, after: float) -> str:
-    """The change as a difference or in per cent where that has a meaning, and as a word where it matters."""
-    if not (math.isfinite(before) and math.isfinite(after)):
-        return MISSING
-    # Log-densities have no natural zero.
-    nats = unit == "nats"
-    text = ("+" if after > before else "") + number(after - before) if nats else percent_change(before, after)
-    if abs(after - before) <= (WORSE_BY if nats else WORSE * min(before, after)):
-        return text or "same"
-    word = "worse" if after > before else "better"
-    return Markup('<span class="{}">{} {}</span>').format(word, "" if unit == "1" else text, word)
+        rows.append([p.name, number(p.before), number(p.after), unit, interval, determined])
+    head = ["parameter", "before", "after", "unit", "95 % interval", "determined?"]
+    return Section("Tuned parameters", head, rows, 1, lead, {"after": "after", "determined?": "answer"})
 
 
 def _optimisation(data: TuningReportData) -> Section:
@@ -186,10 +149,6 @@ def _optimisation(data: TuningReportData) -> Section:
     lead += " The selected point has the least objective on the held-out recordings." if data.held_out else ""
     step = charts.selected_step(data.traces[0], [p.after for p in data.parameters])
     first = [charts.objective_chart(data.traces, data.objective_about, step)]
-    if data.surface is not None:
-        known = [data.parameters[k] for k in data.surface.axes]
-        labels, best = [named(p.name, p.unit) for p in known], [p.after for p in known]
-        first.append(charts.surface_chart(data.surface, labels, best, data.objective_about, data.traces))
     others = [charts.parameter_chart(data.traces, k, p.name, p.unit) for k, p in enumerate(data.parameters)]
     return Section("Optimisation", note=lead, parts=[first, others])
 
@@ -213,11 +172,7 @@ def advice_on(data: TuningReportData) -> tuple[str, str, list[str]]:
         issues = [f"The recordings do not determine {names}: other values fit equally well."]
     if issues:
         issues[-1] += " Do not use such values as measurements: freeze or tie these parameters, or record more motion."
-    sentence = f"{data.objective_about} was tuned"
-    for best in (metric for metric in data.metrics if metric.key == data.objective):
-        relative = "" if best.unit == "nats" else percent_change(*best.training)
-        sentence = f"{best.title} changed from {' to '.join(map(number, best.training))} {best.unit}"
-        sentence += f" ({relative})" * bool(relative)
+    sentence = f"{data.objective_about} changed from {' to '.join(map(number, data.values))}"
     if None not in known or names:
         count = f"{known.count(True)} of " if None not in known else f"all but {known.count(False)} of "
         sentence += f"; the recordings determine {count}{counted(len(known), 'parameter')}"
@@ -238,17 +193,15 @@ def collect(
     data: FitData,
     objective: str,
     intervals: Mapping[str, Interval],
-    issues: Sequence[IdentifiabilityIssue] = (),
+    issues: Sequence[Issue] = (),
 ) -> TuningReportData:
-    """Metrics of both trackers on all trajectories; innovations on the held-out ones, if there are any.
+    """What the page shows of a fit; innovations are of the held-out trajectories, if there are any.
 
-    `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters. The objective
-    surface takes about as many evaluations as the fit took steps. What is not of the result is left to the caller.
+    `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters. What is not of the
+    result is left to the caller.
     """
     held_out, quantity = data.held_out, next(iter(data.training[0].recording.truth))
     unit = "rad" if quantity == "direction" else "m"
-    # The metric `rmse` is the horizontal error; the 3-D error has a name of its own.
-    objective = "rmse-3d" if objective == "rmse" and data.dimensions == 3 else objective
     title, own_unit = TITLES.get(objective, (objective, "1"))
     trackers, runs = (result.before, result.tracker), []
     for tracker in trackers:
@@ -256,21 +209,6 @@ def collect(
         runs.append([of[k][: len(one.recording)] for group, of in grouped for k, one in enumerate(group)])
     before, after = (innovations_of(tracker, of) for tracker, of in zip(trackers, runs, strict=True))
     innovations = None if before is None or after is None else (before, after)
-    # A beam in a flat array's own plane has no direction: nothing to compare with the truth.
-    comparable = all(hasattr(run.mean, quantity) for of_tracker in runs for run in of_tracker)
-    # A sum of several metrics, or with priors, is a metric of its own.
-    pair = result.start_value, result.value
-    metrics = [] if objective in TITLES else [MetricChange(objective, objective, "1", pair, (math.nan,) * 2)]
-    values = []
-    for apart in (False, True):
-        rows = [b if comparable else b._replace(truth={}) for b in data.batches(apart)]
-        given = rows, quantity, data.dimensions
-        values.append([all_metrics(t, *given, weights=data.weights(apart)) if rows else {} for t in trackers])
-    for key, (full, own) in TITLES.items():
-        pairs = [(old.get(key, np.nan), new.get(key, np.nan)) for old, new in values]
-        if np.isfinite(pairs).any():
-            full = f"Horizontal {full}" if key == "rmse" and data.dimensions == 3 else full
-            metrics.append(MetricChange(key, full, own or unit, pairs[0], pairs[1]))
     notes = ["The held-out recordings were used to select the best point and to stop the fit."] if held_out else []
     notes += [] if innovations else ["NIS is not shown: for this tracker its distribution is unknown."]
     return TuningReportData(
@@ -279,9 +217,8 @@ def collect(
         training=recording_names(data.training),
         held_out=recording_names(held_out),
         parameters=tuned_parameters(result, intervals, issues),
-        metrics=tuple(metrics),
+        values=(result.start_value, result.value),
         traces=traces_of(result),
-        surface=surface_of(result),
         innovations=innovations,
         error_unit="°" if unit == "rad" else "m",
         filter_runs=result.filter_runs,
@@ -291,7 +228,7 @@ def collect(
 
 
 def tuned_parameters(
-    result: FitResult, intervals: Mapping[str, Interval], issues: Sequence[IdentifiabilityIssue] = ()
+    result: FitResult, intervals: Mapping[str, Interval], issues: Sequence[Issue] = ()
 ) -> tuple[TunedParameter, ...]:
     """The numbers that a fit tuned; `intervals`: 95 %, by label."""
     undetermined, names = {name for issue in issues for name in issue.names}, component_names(result.parameters)
@@ -305,11 +242,7 @@ def tuned_parameters(
     for name, p, values, ok in zip(names, parameters, numbers.T.tolist(), finite.tolist(), strict=True):
         # Without any interval it is unknown what is determined; with some, a parameter without one is undetermined.
         determined = False if name in undetermined else ok if finite.any() else None
-        words, spread = "", implied_spread(result.tracker, p.names[0]) if p.size == 1 else None
-        if spread is not None:
-            form = "standard deviation {}" if spread.is_deviation else "68 % of the readings within ± {}"
-            words = form.format(f"{number(spread.value)} {p.example.unit}")
-        made.append(TunedParameter._make((name, p.example.unit, *values, determined, words)))
+        made.append(TunedParameter._make((name, p.example.unit, *values, determined)))
     return tuple(made)
 
 

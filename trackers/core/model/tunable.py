@@ -58,7 +58,7 @@ def _numbers(kind: str, value: Any) -> tuple[Any, Any]:
 class Scale(AbstractTunable):
     """A positive number such as a standard deviation; tuned on a logarithmic scale.
 
-    `role`, `axis`: of a noise level; first guesses and coarse grids depend on them, not on names.
+    `role`, `axis`: of a noise level; coarse grids of starts depend on them, not on names.
     """
 
     bounds = "> 0"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,10 +35,9 @@ SIGMAS = 3.0
 class AbstractTrackLoss(eqx.Module):
     """The test for track loss, after which a track restarts; sweeps change its thresholds, fits do not.
 
-    `limit`: the name of its threshold. `max_gap`: limit of the time without measurements, s; np.inf for none.
+    `max_gap`: limit of the time without measurements, s; np.inf for none.
     """
 
-    limit: ClassVar[str]
     max_gap: eqx.AbstractVar[Threshold]
 
     @property
@@ -58,12 +57,6 @@ class AbstractTrackLoss(eqx.Module):
     def exceeded(self, statistic: Any) -> Scalar:
         """Whether the statistic is beyond its limit."""
 
-    def relaxed(self, factor: float) -> AbstractTrackLoss:
-        """The test with its limit multiplied, for noise levels so wrong that most rows would exceed it."""
-        threshold: Threshold = getattr(self, self.limit)
-        raised = threshold.with_value(factor * np.asarray(threshold.value))
-        return eqx.tree_at(lambda test: getattr(test, test.limit), self, raised)
-
 
 class TrackLossPolicy(AbstractTrackLoss):
     """Track loss by the NIS, for Gaussian noise.
@@ -72,7 +65,6 @@ class TrackLossPolicy(AbstractTrackLoss):
     `max_gap`: as in `AbstractTrackLoss`. np.inf disables a limit.
     """
 
-    limit: ClassVar[str] = "nis_limit"
     nis_limit: Threshold
     nis_window: Threshold
     max_gap: Threshold
@@ -121,7 +113,6 @@ class TrackScorePolicy(AbstractTrackLoss):
     of the measurements. `max_gap`: as in `AbstractTrackLoss`.
     """
 
-    limit: ClassVar[str] = "score_limit"
     score_limit: Threshold
     width: Threshold
     max_gap: Threshold

@@ -22,7 +22,6 @@ from trackwright.experiments.pages.charts.style import Chart, Field, Line, band,
 from trackwright.experiments.pages.charts.tuning import (
     OptimiserTrace,
     error_charts,
-    innovation_charts,
     objective_chart,
     parameter_chart,
     rmse_chart,
@@ -211,12 +210,10 @@ def test_the_map_holds_the_root_mean_square_error_of_each_cell(scored):
 
 def test_the_density_of_nis_is_that_of_the_noise_and_missing_where_it_is_unknown():
     nis = np.random.default_rng(5).chisquare(2, 4000)
-    seen = Innovations(nis, np.full(4000, 2.0), np.zeros(4000, int))
+    seen = Innovations(nis, np.full(4000, 2.0))
     line = _lines(nis_chart("nis", "", seen))["consistent (χ²)"]
     np.testing.assert_allclose(line.y, scipy.stats.chi2.pdf(line.x, 2))
     assert [*_lines(nis_chart("nis", "", replace(seen, student_t_dof=np.nan)))] == ["4000 rows"]
-    white = innovation_charts(seen, seen)[2].parts[0]
-    assert np.nanmax(white.y) == pytest.approx(1.96 / np.sqrt(3999))
 
 
 def test_errors_before_and_after_are_root_mean_squares_of_blocks_of_a_long_track():

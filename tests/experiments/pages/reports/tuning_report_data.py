@@ -9,7 +9,6 @@ import polars as pl
 
 from trackwright.experiments.pages.reports.before_after import ErrorTrack, TrackChanges
 from trackwright.experiments.pages.reports.tuning import (
-    MetricChange,
     OptimiserTrace,
     TunedParameter,
     TuningReportData,
@@ -17,14 +16,13 @@ from trackwright.experiments.pages.reports.tuning import (
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.diagnostics import Innovations
-from trackwright.tuning.sweeping import Surface
 
 
-def innovations(scale: float, seed: int = 0, trajectories: int = 4, rows: int = 300) -> Innovations:
+def innovations(scale: float, seed: int = 0, rows: int = 1200) -> Innovations:
     """χ² values with two and three degrees of freedom by turns, times `scale`."""
     rng = np.random.default_rng(seed)
-    dof = np.tile([2.0, 3.0], trajectories * rows // 2)
-    return Innovations(scale * rng.chisquare(dof), dof, np.repeat(np.arange(trajectories), rows))
+    dof = np.tile([2.0, 3.0], rows // 2)
+    return Innovations(scale * rng.chisquare(dof), dof)
 
 
 def report_data(**changes) -> TuningReportData:
@@ -40,8 +38,6 @@ def report_data(**changes) -> TuningReportData:
     ways = [end * np.exp(np.log(factor / end) * 0.8**steps) for factor in
             (np.array([0.05, 0.3, 0.5]), np.array([0.5, 0.06, 0.3]), np.array([0.02, 1.2, 0.8]))]  # fmt: skip
     away = [((np.log(w / end)) ** 2).sum(axis=1) for w in ways]
-    grids = np.geomspace(0.04, 0.5, 15), np.geomspace(0.08, 0.6, 13)
-    x, y = np.meshgrid(*(np.log(g / e) for g, e in zip(grids, end[:2], strict=True)), indexing="ij")
     times = np.arange(400) * 0.2
     tracks = tuple(
         ErrorTrack(f"line-{k}, tag {k}", times, 0.3 * np.abs(rng.normal(size=400)) + 0.02 * k,
@@ -58,12 +54,8 @@ def report_data(**changes) -> TuningReportData:
         training=("line-a", "line-b"),
         held_out=("line-c", "line-d"),
         parameters=numbers,
-        metrics=(
-            MetricChange("nll", "Negative log-likelihood", "nats", (0.4812, 0.1327), (0.4950, 0.1411)),
-            MetricChange("rmse", "RMSE", "m", (0.3126, 0.2418), (0.3233, 0.2517)),
-        ),
+        values=(0.4812, 0.1327),
         traces=tuple(OptimiserTrace(0.1327 + a, w) for a, w in zip(away, ways, strict=True)),
-        surface=Surface((0, 1), grids, 0.1327 + x**2 + y**2 + 0.4 * x * y),
         innovations=(innovations(0.55), innovations(1.0, 7)),
         plans=TrackChanges((), 0, tracks),
         error_unit="m",

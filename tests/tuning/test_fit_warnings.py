@@ -10,16 +10,12 @@ from tests.known_start import recording
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.model.covariance import FEW
-from trackwright.tuning.fit_cautions import (
-    WINDOWS_S,
-    rows_and_inflation,
-    window_sums,
-)
-from trackwright.tuning.intervals import left_out_values
+from trackwright.tuning.fitting import left_out_values
 from trackwright.tuning.objectives import NegativeLogLikelihood, StateLogLikelihood
 from trackwright.tuning.optimisers import AbstractOptimiser
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
+from trackwright.tuning.weight import WINDOWS_S, rows_and_inflation, window_sums
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 
@@ -60,8 +56,8 @@ def test_readings_that_repeat_stop_at_their_rounding_and_are_named():
     sigma = float(result.values["sensors.gauge.sigma"])
     assert sigma == pytest.approx(0.2 / np.sqrt(12), rel=1e-3)
     rounding, repeats = result.cautions[:2]
-    assert rounding.startswith("sensors.gauge.sigma fell to 0.0577 m, the rounding of its readings (step 0.2 m / √12)")
-    assert "% of the readings of gauge repeat the one before (in steps of 0.2 m)" in repeats
+    assert rounding.startswith("sensors.gauge.sigma fell to 0.0577 m, the rounding of its readings")
+    assert "% of the readings of gauge repeat the one before" in repeats
     free = tw.fit(
         line_tracker(0.05, 0.1),
         _gauge(places, 0 * places),
