@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.experiments.pages.reports.tuning_report_data import innovations
 from trackwright.tuning.diagnostics import (
     Innovations,
     autocorrelation,
@@ -14,6 +13,13 @@ from trackwright.tuning.diagnostics import (
     normal_scores,
     student_t_spread,
 )
+
+
+def _innovations(scale: float, seed: int = 0, trajectories: int = 4, rows: int = 300) -> Innovations:
+    """χ² values with two and three degrees of freedom by turns, times `scale`."""
+    rng = np.random.default_rng(seed)
+    dof = np.tile([2.0, 3.0], trajectories * rows // 2)
+    return Innovations(scale * rng.chisquare(dof), dof, np.repeat(np.arange(trajectories), rows))
 
 
 @pytest.mark.parametrize(("nu", "skew"), [(None, 1.0), (1.8, 4.0), (4.0, 1.0)])
@@ -41,7 +47,7 @@ def test_the_spread_is_that_of_draws(dof, skew):
 
 
 def test_probabilities_and_scores_are_those_of_scipy():
-    seen = innovations(1.3)
+    seen = _innovations(1.3)
     np.testing.assert_allclose(nis_probabilities(seen), stats.chi2.cdf(seen.nis, seen.dof), rtol=1e-9)
     # the inverse of a probability near 1 has its rounding times a few thousand
     np.testing.assert_allclose(normal_scores(seen), stats.norm.ppf(stats.chi2.cdf(seen.nis, seen.dof)), atol=1e-8)

@@ -10,7 +10,7 @@ from typing import get_args
 import trackwright as tw
 from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.experiments.lab.validation.sites import read, recordings
-from trackwright.experiments.pages.reports.before_after import judge, tracked
+from trackwright.experiments.pages.tuning import judge, tracked
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.tuning.priors import Kind
 
