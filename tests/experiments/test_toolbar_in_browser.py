@@ -13,8 +13,8 @@ from tests.tuning.calibration_worlds import world
 from trackwright.experiments.monte_carlo.runner import run_study
 from trackwright.experiments.pages.calibration import report_on, write_calibration_report
 from trackwright.experiments.pages.reports.comparison import comparison_charts, write_comparison
-from trackwright.experiments.pages.reports.study import study_page
 from trackwright.experiments.pages.reports.track import run_data, write_track_page
+from trackwright.experiments.pages.study import study_page
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.tuning.calibrating import calibrate
 

@@ -16,7 +16,7 @@ from trackwright.experiments.lab.runner import Case, Figures, machine
 from trackwright.experiments.monte_carlo import Study, load_study, run_study
 from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.declaration import TrackerConfig, World
-from trackwright.experiments.pages.reports.study import to_json
+from trackwright.experiments.pages.study import to_json
 from trackwright.sim.worlds import WORLDS as MAKE
 from trackwright.trackers.recordings.tracks import batches
 

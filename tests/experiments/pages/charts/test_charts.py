@@ -1,7 +1,6 @@
 """Charts hold the numbers they were given, for plotly.js and matplotlib alike, and take odd input."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import matplotlib as mpl
 import matplotlib.pyplot
@@ -13,18 +12,13 @@ from matplotlib.image import imread
 
 from tests.experiments.pages.charts.small_runs import ANCHORS, small_run
 from tests.experiments.pages.reports.small_tracks import BIAS, small_bearings, small_tracks
-from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.pages.charts import recording as charts
 from trackwright.experiments.pages.charts.distributions import nis_chart
 from trackwright.experiments.pages.charts.drawing import draw, write
 from trackwright.experiments.pages.charts.residuals import error_map, residual_charts, residuals
 from trackwright.experiments.pages.charts.style import Chart, Field, Line, band, broken_at_gaps, numbers
 from trackwright.experiments.pages.reports.comparison import comparison_charts
-from trackwright.experiments.pages.reports.study import metric_chart
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
-from trackwright.experiments.text.expectations import Value
-from trackwright.experiments.text.wording import Unit
-from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.tuning.diagnostics import Innovations
@@ -223,28 +217,6 @@ def test_the_tail_of_one_run_does_not_set_the_axis_of_errors():
         assert distributions.limits("x")[1] < 25  # cm
         assert boxes.limits("y")[1] < 25
         assert {*_lines(distributions)} == {"good", "bad, 3.3 % beyond"}
-
-
-@pytest.mark.parametrize("values", [[0.1, 0.2, 0.3], [0.1, 0.2]], ids=["lines", "rows"])
-def test_a_metric_of_a_study_has_its_intervals_its_bound_and_its_target(values):
-    trackers = {"direct": TrackerConfig("direct"), "cascade": TrackerConfig("cascade")}
-    study = Study(name="grid", about="", worlds={"hand": World(WORLDS["station"])}, trackers=trackers,
-                  grid={"world.sigma_p": values}, runs=2)  # fmt: skip
-    found = {(c.index, t): Value(0.01 * (1 + c.index), 0.009, 0.06) for c in study.conditions for t in trackers}
-    bounds = {key: Value(0.005, 0.005, 0.005) for key in list(found)[:2]}
-    results = SimpleNamespace(study=study)
-    chart = metric_chart(results, "rmse_m", found, Unit("cm", 100.0), bounds)
-    drawn = _lines(chart)
-    points = [part for part in chart.parts if part.marker and not part.marker.startswith("line")]
-    assert sorted({float(x) for part in points for x in (part.y if len(values) > 2 else part.x)}) == [
-        1.0 * (1 + k) for k in range(len(values))
-    ]
-    assert any("Cramér–Rao bound" in part.name for part in chart.parts)
-    assert {"direct", "cascade"} <= {*drawn} or len(values) < 3
-    shares = metric_chart(results, "coverage_95", found, Unit("%", 100.0), {})
-    assert "95 expected" in _lines(shares)
-    nothing = dict.fromkeys(found, Value(0.0, 0.0, 0.0))
-    assert metric_chart(results, "rmse_m", nothing, Unit("cm", 100.0), {}) is None
 
 
 def test_times_that_count_from_1970_are_shown_since_the_first_reading():
