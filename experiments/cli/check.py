@@ -67,7 +67,7 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
     with running("calibrate", json) as run:
         folders = prepared(recordings, Readings(), force, calibrated=True)
         # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
-        from trackwright.experiments.pages.reports import calibration as pages
+        from trackwright.experiments.pages import calibration as pages
         from trackwright.experiments.text.tables import sections_text
         from trackwright.trackers.recordings.calibration import write_calibration
         from trackwright.tuning.calibrating import calibrate
@@ -115,7 +115,7 @@ def survey(
         unplaced = replace(folder.rig, anchors={})
         notices(require_sound(replace(folder, rig=unplaced, tables={"ranges": folder.tables["ranges"]}), force, True))
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
-    from trackwright.experiments.pages.reports.survey import survey_data, write_survey_page
+    from trackwright.experiments.pages.calibration import survey_data, write_survey_page
     from trackwright.trackers.recordings.atomic import write_whole
     from trackwright.trackers.recordings.rig_file import rig_text
     from trackwright.tuning.survey.surveying import survey as survey_walks

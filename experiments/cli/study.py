@@ -43,7 +43,7 @@ def study(
     from trackwright.experiments.monte_carlo.runner import StopRule, run_study
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
     from trackwright.experiments.monte_carlo.store import CHUNKS
-    from trackwright.experiments.pages.reports import study as pages
+    from trackwright.experiments.pages import study as pages
     from trackwright.experiments.pages.reports.pages import write_page
     from trackwright.experiments.text.terminal import notice
     from trackwright.experiments.text.wording import figures_drawn
@@ -89,8 +89,7 @@ def study(
         # matplotlib takes a third of a second to import.
         from trackwright.experiments.pages.charts.drawing import write_charts
 
-        charts = [chart for group in pages.study_charts(results) for chart in group]
-        written.append(figures_drawn(write_charts(folder, charts, kind)))
+        written.append(figures_drawn(write_charts(folder, pages.study_charts(results), kind)))
     if figures != "none":
         page = pages.study_page(results, expected, sys.argv)
         written.insert(0, write_page(folder / pages.REPORT, page).name)

@@ -15,14 +15,12 @@ import trackwright as tw
 from trackwright.experiments.cli import console
 from trackwright.experiments.cli.console import Run, notices, output_folder, write_manifest
 from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, config, file_format
-from trackwright.experiments.jobs.fits import checked_bounds, cross_fitted, kept_fit, left_out_estimates, with_fitted
-from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart, sweep_plot
-from trackwright.experiments.pages.reports import before_after as changes
-from trackwright.experiments.pages.reports import tuning as pages
+from trackwright.experiments.jobs.fits import checked_bounds, cross_fitted, kept_fit, left_out_estimates
+from trackwright.experiments.pages import tuning as pages
 from trackwright.experiments.pages.reports.pages import typed, write_page
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Advance, notice
-from trackwright.trackers.catalogue import fitting, spec_of
+from trackwright.trackers.catalogue import fitting
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.evaluation.cautions import mirror_cautions
 from trackwright.trackers.evaluation.evaluate import with_truth
@@ -43,15 +41,13 @@ INTERRUPTED = 130  # the exit code of a command that Ctrl-C ended, as shells hav
 
 @dataclass(frozen=True)
 class Fitted:
-    """A finished fit. `shown`: the recordings whose errors are shown: those held out, or else those fitted to;
-    `others`: those fitted to if some were held out."""
+    """A finished fit. `shown`: the recordings whose errors are shown: those held out, or else those fitted to."""
 
     options: TuneOptions
     named: tw.NamedTracker
     data: FitData
     result: tw.FitResult
     shown: Sequence[tw.RecordingFolder]
-    others: Sequence[tw.RecordingFolder]
 
 
 def tune_folders(folders: Sequence[tw.RecordingFolder], paths: Sequence[Path], options: TuneOptions, run: Run) -> int:
@@ -64,10 +60,10 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], paths: Sequence[Path], o
         count, folders = sum(map(len, parts[:count])), [part for of_folder in parts for part in of_folder]
     fitted = fit_folders(folders, count, options, run)
     run.begin("leaving out recordings")
-    before = changes.tracked(fitted.named, fitted.shown)
+    before = pages.tracked(fitted.named, fitted.shown)
     compared = judged(fitted, before)
     run.begin("report")
-    content = _write_run(fitted, paths[: len(paths) - len(options.held_out)], run, compared, before)
+    content = _write_run(fitted, paths[: len(paths) - len(options.held_out)], run, compared)
     run.put(content)
     if fitted.result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
@@ -97,8 +93,7 @@ def fit_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tune
     parameters = numbers.select_parameters(data.tracker, tune, options.freeze)
     notices(cautions(data.tracker, parameters, data.objective))
     result = _fit(data, options, bounds, run, by_default)
-    shown, others = (folders[count:], folders[:count]) if folders[count:] else (folders, [])
-    return Fitted(options, named, data, result, shown, others)
+    return Fitted(options, named, data, result, folders[count:] or folders)
 
 
 def _fit(
@@ -133,7 +128,7 @@ def _fit(
     return kept_fit(data, options.tune or (), how, place, out, depends, options.resume, say)
 
 
-def judged(fitted: Fitted, before: pl.DataFrame) -> changes.Compared:
+def judged(fitted: Fitted, before: pl.DataFrame) -> pages.Compared:
     """The recordings shown, `before` the fit and with values fitted without them, and the verdict."""
     result, data, shown = fitted.result, fitted.data, fitted.shown
     table, about = left_out_estimates(result, data, fitted.named, shown, before)
@@ -143,35 +138,21 @@ def judged(fitted: Fitted, before: pl.DataFrame) -> changes.Compared:
     count = len(pages.recording_names(data.training))
     part = f"{len(shown)} of {count} " if len(shown) < count else ""
     about = "held-out recordings" if data.held_out else f"{part}recording{'s' if count > 1 else ''} tuned on{about}"
-    return changes.compare((before, with_truth(table, shown)), shown, data.dimensions, about, why_not)
+    return pages.compare((before, with_truth(table, shown)), shown, data.dimensions, about, why_not)
 
 
-def _plans(fitted: Fitted, before: pl.DataFrame) -> changes.TrackChanges:
-    """The tracks with the values before and after the fit, of the recordings shown and of some others."""
-    others = fitted.others[: max(changes.MOST_PLANS - len(fitted.shown), 0)]
-    held_out = {folder.name for folder in fitted.shown} if fitted.data.held_out else set()
-    if others:
-        before = pl.concat([before, changes.tracked(fitted.named, others)], how="diagonal")
-    folders = [*fitted.shown, *others]
-    return changes.track_changes(
-        before, changes.tracked(with_fitted(fitted.named, fitted.result), folders), folders, held_out
-    )
-
-
-def _write_run(
-    fitted: Fitted, recordings: Sequence[Path], run: Run, compared: changes.Compared, before: pl.DataFrame
-) -> dict[str, Any]:
+def _write_run(fitted: Fitted, recordings: Sequence[Path], run: Run, compared: pages.Compared) -> dict[str, Any]:
     """Writes all files, prints what they show, and returns the content of tuned.toml."""
     options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
     name, uncertainty, used = fitted.named.name, fitted.result.uncertainty, options.used
-    objective, unit = data.named, "rad" if data.training[0].station else "m"
+    objective = data.named
     if options.prior != "flat" and data.objective.is_likelihood:
         objective += " + prior"
     intervals, issues = result.intervals, result.issues
     calibrated = None if used.calibration is None else identity(used.calibration)
     content = compared.content() | tuned_content(name, objective, result, intervals, calibrated)
     tw.write_tuned(out / "tuned.toml", content)
-    drawn = _write_trace(out, result, objective, unit, file_format(options.figures))
+    drawn = _write_trace(out, data, result, objective, file_format(options.figures))
     lines = without_intervals(uncertainty, intervals)
     if uncertainty is not None:
         lines = [*result.cautions, *lines]
@@ -181,20 +162,11 @@ def _write_run(
     written = ["trace.csv", *drawn, "manifest.json"]
     if options.figures != "none":
         written.insert(0, "report.html")
-        known = pages.collect(result, data, objective, intervals, issues)
-        known = replace(
-            known,
-            training=pages.recording_names(data.training),
-            commands=(use, typed(sys.argv)),
-            tracker=name,
-            tracker_about=spec_of(name).about,
-            seconds=run.seconds,
-            compared=compared,
-            plans=_plans(fitted, before),
-            cautions=tuple(lines),
-            notes=(*_notes(data, result), *known.notes),
-        )
-        write_page(out / "report.html", pages.tuning_page(known))
+        page = pages.tuning_page(
+            result, data, objective, compared, intervals, issues, tracker=name, cautions=lines,
+            notes=[*_notes(data, result)], seconds=run.seconds, commands=(use, typed(sys.argv)),
+        )  # fmt: skip
+        write_page(out / "report.html", page)
     about = config(options, "resume", "check")
     write_manifest(
         out, about, run.started, recordings=[str(path) for path in recordings], filter_runs=result.filter_runs
@@ -212,10 +184,12 @@ def _notes(data: FitData, result: tw.FitResult) -> Iterator[str]:
         yield "The fit was interrupted: the values are the best so far; --resume continues it."
     if result.n_excluded:
         yield f"{result.n_excluded} of {len(data.training)} segments were excluded."
+    if data.held_out:
+        yield "The held-out recordings were used to select the best point and to stop the fit."
 
 
-def _write_trace(out: Path, result: tw.FitResult, objective: str, unit: str, figure: str | None) -> list[str]:
-    """Writes the table of the steps and, where asked for, its figures; returns the names of these."""
+def _write_trace(out: Path, data: FitData, result: tw.FitResult, objective: str, figure: str | None) -> list[str]:
+    """Writes the table of the steps and, where asked for, its figure; returns the name of that."""
     traces, names = pages.traces_of(result), numbers.component_names(result.parameters)
     columns = {objective: traces[0].objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
     columns |= dict(zip(names, traces[0].values.T, strict=True))
@@ -224,11 +198,7 @@ def _write_trace(out: Path, result: tw.FitResult, objective: str, unit: str, fig
         return []
     from trackwright.experiments.pages.charts.drawing import write_charts
 
-    about = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
-    units = [p.example.unit for p in result.parameters for _ in range(p.size)]
-
-    charts = [parameter_chart(traces, k, *named) for k, named in enumerate(zip(names, units, strict=True))]
-    return write_charts(out, [objective_chart(traces, about.get(objective, objective)), *charts], figure)
+    return write_charts(out, [pages.objective_chart(traces, pages.objective_words(data, objective))], figure)
 
 
 def table(result: tw.FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:
@@ -262,7 +232,7 @@ def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, 
     atomic_write(out / "sweep.csv", swept.to_polars(objective).write_csv)
     unit = "rad" if group.trajectories[0].station else "m"
     drawn = out / f"sweep.{options.figures}"
-    sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective)
+    pages.sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective)
     result = {"best": swept.best, "least": float(swept.mean[swept.best_index]), "filter_runs": swept.filter_runs}
     result["seconds"] = run.seconds
     about = config(options) | {"tracker": named.name}

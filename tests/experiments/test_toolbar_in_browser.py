@@ -9,15 +9,12 @@ from tests.experiments.monte_carlo.small_study import SMALL
 from tests.experiments.pages.charts.small_runs import small_run
 from tests.experiments.pages.reports.small_tracks import small_tracks
 from tests.experiments.pages.reports.test_track_page import NO_EVENTS
-from tests.experiments.pages.reports.tuning_report_data import report_data
 from tests.tuning.calibration_worlds import world
 from trackwright.experiments.monte_carlo.runner import run_study
-from trackwright.experiments.pages.reports.calibration import report_on, write_calibration_report
+from trackwright.experiments.pages.calibration import report_on, write_calibration_report
 from trackwright.experiments.pages.reports.comparison import comparison_charts, write_comparison
-from trackwright.experiments.pages.reports.pages import write_page
-from trackwright.experiments.pages.reports.study import study_page
 from trackwright.experiments.pages.reports.track import run_data, write_track_page
-from trackwright.experiments.pages.reports.tuning import tuning_page
+from trackwright.experiments.pages.study import study_page
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.tuning.calibrating import calibrate
 
@@ -46,10 +43,6 @@ def _track(folder):
     return folder / "track.html"
 
 
-def _tune(folder):
-    return write_page(folder / "tune.html", tuning_page(report_data()))
-
-
 def _study(folder):
     path = folder / "study.html"
     path.write_text(study_page(run_study(SMALL, folder / "study"), [], ["study", "small.toml"]), "utf-8")
@@ -70,8 +63,8 @@ def _calibration(folder):
 
 @pytest.mark.parametrize(
     "page_of",
-    [_track, *(pytest.param(one, marks=pytest.mark.slow) for one in (_comparison, _tune, _study, _calibration))],
-    ids=["track", "comparison", "tune", "study", "calibration"],
+    [_track, *(pytest.param(one, marks=pytest.mark.slow) for one in (_comparison, _study, _calibration))],
+    ids=["track", "comparison", "study", "calibration"],
 )
 def test_no_chart_of_any_page_can_be_uploaded_and_a_phone_has_no_toolbar(page_of, tmp_path):
     path = page_of(tmp_path)

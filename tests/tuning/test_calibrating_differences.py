@@ -10,7 +10,7 @@ from scipy.stats import t as student_t
 
 import trackwright as tw
 from tests.tuning.calibration_worlds import ANCHORS, differences
-from trackwright.experiments.pages.reports.calibration import report_on
+from trackwright.experiments.pages.calibration import report_on
 from trackwright.trackers.recordings.calibration import NO_DIFFERENCES
 from trackwright.tuning.calibrating import calibrate
 

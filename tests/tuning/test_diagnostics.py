@@ -9,8 +9,7 @@ from scipy import stats
 
 from tests.tuning.worlds import Gauge, line_tracker
 from trackwright.trackers.aoa.fusion import bearing_tracker
-from trackwright.trackers.baselines.fixes import fix_tracker
-from trackwright.trackers.baselines.windows import MovingWindow
+from trackwright.trackers.baselines.fixes import MovingWindow, fix_tracker
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker

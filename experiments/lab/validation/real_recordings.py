@@ -14,7 +14,7 @@ import trackwright as tw
 from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.experiments.lab.validation import levels
 from trackwright.experiments.lab.validation.sites import SITES, Site, read, recordings, same_installation, site_of
-from trackwright.experiments.pages.reports.before_after import judge, tracked
+from trackwright.experiments.pages.tuning import judge, tracked
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.statements import verdict
 from trackwright.tuning.calibrating import by_halves

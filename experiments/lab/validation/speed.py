@@ -23,7 +23,7 @@ from trackwright.experiments.lab.validation.sites import paths
 from trackwright.experiments.monte_carlo import Study, load_study, run_study
 from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.declaration import TrackerConfig, World
-from trackwright.experiments.pages.reports.study import to_json
+from trackwright.experiments.pages.study import to_json
 from trackwright.sim import worlds
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.tracks import batches

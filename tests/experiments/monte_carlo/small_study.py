@@ -8,7 +8,7 @@ import sys
 import numpy as np
 
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
-from trackwright.experiments.pages.reports.study import to_json
+from trackwright.experiments.pages.study import to_json
 from trackwright.sim.worlds import WORLDS
 
 SMALL = Study(

@@ -11,11 +11,9 @@ import numpy as np
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
-from trackwright.experiments.pages.charts.style import BLUE, GREEN, VERMILION
 
 SWEPT = (0.01, 0.03, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.6, 1.0)
 WORLDS = ("situation 1, set 2", "situation 2, set 2", "situation 3, set 2")
-COLOURS = {"Kalman": BLUE, "particle": VERMILION, "particle, path ends": GREEN}
 BOTH = ("Kalman", "particle")
 NEAR = 1.05
 """Ratio to the least error up to which the curve counts as flat."""

@@ -14,11 +14,9 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted
 from trackwright.experiments.lab.papers.will_2020._work_stand import CASCADE, DIRECT, RADIUS, recorded
-from trackwright.experiments.pages.charts.style import BLUE, VERMILION
 from trackwright.experiments.text.expectations import fixed_interval
 
 STAND, APART, PLANE = "stand", "stations 0.4 m off the middle", "stand, plane waves"
-COLOURS = {"cascade": BLUE, "direct": VERMILION}
 UNKNOWN = "a prediction of the array of Table 1 and stations where simulations have them; the paper's places are lost"
 _of = partial(Printed, number=3.18, metric="rmse_3d_m", unit="cm", tracker="cascade")
 PRINTED = (

@@ -1,7 +1,6 @@
 """Charts hold the numbers they were given, for plotly.js and matplotlib alike, and take odd input."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import matplotlib as mpl
 import matplotlib.pyplot
@@ -13,33 +12,16 @@ from matplotlib.image import imread
 
 from tests.experiments.pages.charts.small_runs import ANCHORS, small_run
 from tests.experiments.pages.reports.small_tracks import BIAS, small_bearings, small_tracks
-from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.pages.charts import recording as charts
 from trackwright.experiments.pages.charts.distributions import nis_chart
 from trackwright.experiments.pages.charts.drawing import draw, write
 from trackwright.experiments.pages.charts.residuals import error_map, residual_charts, residuals
 from trackwright.experiments.pages.charts.style import Chart, Field, Line, band, broken_at_gaps, numbers
-from trackwright.experiments.pages.charts.tuning import (
-    OptimiserTrace,
-    error_charts,
-    objective_chart,
-    parameter_chart,
-    rmse_chart,
-    sweep_plot,
-)
-from trackwright.experiments.pages.reports.before_after import ErrorTrack
 from trackwright.experiments.pages.reports.comparison import comparison_charts
-from trackwright.experiments.pages.reports.study import metric_chart
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
-from trackwright.experiments.text.expectations import Value
-from trackwright.experiments.text.wording import Unit
-from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.tuning.diagnostics import Innovations
-from trackwright.tuning.parameters import Parameter
-from trackwright.tuning.sweeping import Sweep
 
 mpl.use("Agg")
 
@@ -216,44 +198,6 @@ def test_the_density_of_nis_is_that_of_the_noise_and_missing_where_it_is_unknown
     assert [*_lines(nis_chart("nis", "", replace(seen, student_t_dof=np.nan)))] == ["4000 rows"]
 
 
-def test_errors_before_and_after_are_root_mean_squares_of_blocks_of_a_long_track():
-    rng = np.random.default_rng(5)
-    track = ErrorTrack("long " * 20, 0.1 * np.arange(4001), *np.abs(rng.normal(size=(2, 4001))))
-    (chart,) = error_charts([track], "m")
-    for line, whole in zip(chart.parts, (track.before, track.after), strict=True):
-        blocks = [np.sqrt(np.mean(whole[k : k + 5] ** 2)) for k in range(0, 4001, 5)]
-        np.testing.assert_allclose(line.y, blocks)
-    worse = ErrorTrack("worse", track.times, track.before, 2 * track.before)
-    points = _lines(rmse_chart([track, worse], "m"))
-    np.testing.assert_allclose(np.asarray(points["after, larger"].x)[-1], 2 * np.sqrt(np.mean(track.before**2)))
-
-
-def test_the_steps_of_an_optimiser_take_one_step_and_one_without_a_value():
-    traces = [
-        OptimiserTrace(np.array([3.0, np.nan]), np.array([[1.0], [2.0]])),
-        OptimiserTrace(np.array([9e9]), np.ones((1, 1))),
-    ]
-    chart = objective_chart(traces, "nll")
-    assert chart.limits("y")[1] < 10
-    assert "selected: 3" in [part.name for part in chart.parts]
-    assert draw(parameter_chart(traces, 0, "motion.sigma_a", "m")).get_ylim()[0] > 0
-
-
-def test_the_axes_of_a_sweep_over_two_numbers_end_where_the_grid_does(tmp_path, monkeypatch):
-    grids = [np.geomspace(0.1, 1.0, 5), np.linspace(1.0, 2.0, 4)]
-    values = (np.log(grids[0])[:, None] + 1) ** 2 + (grids[1] - 1.5) ** 2
-    made = []
-    monkeypatch.setattr("trackwright.experiments.pages.charts.drawing.write", lambda chart, path: made.append(chart))
-    parameters = [Parameter((name,), Scale(1.0, "m"), name) for name in ("a", "b")]
-    for swept in (Sweep(parameters, grids, values[None], 1), Sweep(parameters[:1], grids[:1], values[None, :, 0], 1)):
-        sweep_plot(tmp_path / "sweep.png", swept, "rmse (m)")
-    surface, curve = made
-    assert (surface.limits("x"), surface.limits("y"), surface.log) == ((0.1, 1.0), (1.0, 2.0), "x")
-    assert surface.parts[0].plotly()["type"] == "contour"
-    np.testing.assert_allclose(curve.parts[0].y, values[:, 0])
-    assert draw(surface).get_xlabel() == "a (m)"
-
-
 def test_floor_plans_of_a_comparison_are_of_the_worst_the_median_and_the_best_by_the_first_run():
     first = small_run("uwb", {"a": 0.2, "b": 0.9, "c": 0.1, "d": 0.5, "e": 0.3})
     second = small_run("median", {"b": 0.1, "c": 0.8, "d": 0.7, "e": 0.6, "a": 0.5})
@@ -273,28 +217,6 @@ def test_the_tail_of_one_run_does_not_set_the_axis_of_errors():
         assert distributions.limits("x")[1] < 25  # cm
         assert boxes.limits("y")[1] < 25
         assert {*_lines(distributions)} == {"good", "bad, 3.3 % beyond"}
-
-
-@pytest.mark.parametrize("values", [[0.1, 0.2, 0.3], [0.1, 0.2]], ids=["lines", "rows"])
-def test_a_metric_of_a_study_has_its_intervals_its_bound_and_its_target(values):
-    trackers = {"direct": TrackerConfig("direct"), "cascade": TrackerConfig("cascade")}
-    study = Study(name="grid", about="", worlds={"hand": World(WORLDS["station"])}, trackers=trackers,
-                  grid={"world.sigma_p": values}, runs=2)  # fmt: skip
-    found = {(c.index, t): Value(0.01 * (1 + c.index), 0.009, 0.06) for c in study.conditions for t in trackers}
-    bounds = {key: Value(0.005, 0.005, 0.005) for key in list(found)[:2]}
-    results = SimpleNamespace(study=study)
-    chart = metric_chart(results, "rmse_m", found, Unit("cm", 100.0), bounds)
-    drawn = _lines(chart)
-    points = [part for part in chart.parts if part.marker and not part.marker.startswith("line")]
-    assert sorted({float(x) for part in points for x in (part.y if len(values) > 2 else part.x)}) == [
-        1.0 * (1 + k) for k in range(len(values))
-    ]
-    assert any("Cramér–Rao bound" in part.name for part in chart.parts)
-    assert {"direct", "cascade"} <= {*drawn} or len(values) < 3
-    shares = metric_chart(results, "coverage_95", found, Unit("%", 100.0), {})
-    assert "95 expected" in _lines(shares)
-    nothing = dict.fromkeys(found, Value(0.0, 0.0, 0.0))
-    assert metric_chart(results, "rmse_m", nothing, Unit("cm", 100.0), {}) is None
 
 
 def test_times_that_count_from_1970_are_shown_since_the_first_reading():

@@ -1,0 +1,222 @@
+"""Reports of a calibration, terms and errors before and after, and of a survey, anchors over the walks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trackwright.experiments.pages.charts.floor import PlanPath, plan
+from trackwright.experiments.pages.charts.style import BEFORE, BLACK, BLUE, GREY, Chart, Line
+from trackwright.experiments.pages.reports.pages import report_page, typed, write_page
+from trackwright.experiments.text.tables import Section
+from trackwright.experiments.text.wording import MISSING, fixed
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.wording import counted
+from trackwright.trackers.recordings.calibration import (
+    ANGLES,
+    DETERMINED,
+    OFFSET_SIGMA,
+    UNCALIBRATED,
+    Calibration,
+    range_terms,
+)
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.tuning.calibrating import calibrate
+from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs
+from trackwright.tuning.survey.surveying import DELAY_DETERMINED, Survey
+
+WIDTH, SHOWN, POINTS = 150, 24, 500
+"""Characters of a table's line, the most charts, and about the most rows drawn in each."""
+
+_ERRORS = ("rows", "as measured", "calibrated", "left out")
+SECTIONS = {
+    "stations": Section(
+        "Stations", ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS), (), 2,
+        "A true angle a, with the other angle b, is measured as offset + gain·a + cubic·a³ + cross·a·b."),
+    "anchors": Section(
+        "Anchors", ("anchor", "bias, m", "slope", *_ERRORS), (), 1,
+        "A distance d is measured as d + bias + slope·d, plus the bias of the tag where there are several."),
+    "differences": Section(
+        "Range differences", ("anchor", "bias, m", *_ERRORS), (), 1,
+        "A difference of distances is measured with the bias of its first anchor less the bias of the second; biases "
+        "are relative to their mean. Rows and errors are of all differences of an anchor."),
+    "tags": Section(
+        "Tags", ("tag", "bias, m", "ahead, m", "to the left, m", "rows"), (), 1,
+        "Bias relative to the mean of the tags, and where on the body their ranges end, from the place of the tag."),
+}  # fmt: skip
+"""The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several."""
+
+NOTE = (
+    "±: standard error. In brackets: not determined by these recordings, near its value before them. As measured, "
+    "calibrated: 68th percentile of the absolute error before and after. Left out: by a calibration on the other "
+    "recordings."
+)
+
+
+class Source(NamedTuple):
+    """One angle of a station, or the ranges of an anchor or its range differences to others.
+
+    `table`: stations, anchors or differences. `column`: of the pairs.
+    """
+
+    table: str
+    name: str
+    quantity: str
+    column: int
+    pairs: Pairs
+
+    @property
+    def unit(self) -> tuple[float, str]:
+        """The factor to the unit in tables, and its name."""
+        return (180 / np.pi, "°") if self.table == "stations" else (100.0, " cm")
+
+    def fit(self, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Terms, covariance, and whether each is determined."""
+        if self.table == "stations":
+            station, k = calibration.stations[self.name], self.column
+            return station.coefficients[k], station.covariances[k], station.determined[k]
+        if self.table == "differences":
+            known, k = calibration.differences, calibration.differences.anchors.index(self.name)
+            return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]]
+        anchor = calibration.anchors[self.name]
+        return anchor.coefficients, anchor.covariance, anchor.determined
+
+    def errors(self, calibration: Calibration | None) -> np.ndarray:
+        """Measured minus expected values (N,), rad or m, NaN where not measured; None: without a calibration."""
+        expected = self.pairs.true[:, self.column]
+        if calibration is not None and self.table == "stations":
+            expected = calibration.stations.get(self.name, UNCALIBRATED).measured(self.pairs.true)[:, self.column]
+        elif calibration is not None and self.table == "differences":
+            names, number = np.unique(self.pairs.other, return_inverse=True)
+            both = np.column_stack([np.full(len(number), len(names)), number])
+            expected = expected - calibration.of_differences([*names, self.name], both, np.zeros(len(number)))[0]
+        elif calibration is not None and self.name in calibration.anchors:
+            tags, number = np.unique(self.pairs.tag, return_inverse=True)
+            biases = np.array([calibration.tags[tag].bias if tag in calibration.tags else 0.0 for tag in tags])
+            expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients + biases[number]
+        return self.pairs.measured[:, self.column] - expected
+
+    def spread(self, errors: np.ndarray) -> float:
+        """The 68th percentile of the sizes of errors (N,), each recording with the same weight; NaN without any."""
+        seen = np.flatnonzero(np.isfinite(errors))
+        if not len(seen):
+            return np.nan
+        seen = seen[np.argsort(np.abs(errors[seen]))]
+        recording = self.pairs.recording[seen]
+        shares = np.cumsum(1.0 / np.bincount(recording)[recording])
+        return float(np.abs(errors[seen])[np.searchsorted(shares, 0.6827 * shares[-1])])
+
+
+class Report(NamedTuple):
+    """The tables with rows of a calibration by what they are of; `note`: what the marks in them mean."""
+
+    tables: dict[str, Section]
+    sources: list[Source]
+    note: str
+
+
+def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
+    """The tables of a calibration of these recordings."""
+    # An anchor whose differences are to anchors with too few has no bias.
+    sources = [one for one in _sources(folders) if one.table != "differences" or one.name in calibration.differences]
+    rows: dict[str, list[list[str]]] = {name: [] for name in SECTIONS}
+    without = list[Calibration | None]()
+    for apart in folders:
+        try:
+            without.append(calibrate([folder for folder in folders if folder is not apart]))
+        except UnusableInput:
+            without.append(None)
+    for source in sources:
+        terms, covariance, determined = source.fit(calibration)
+        cells = [_term(*values) for values in zip(terms, np.sqrt(np.diag(covariance)), determined, strict=True)]
+        left_out, of = np.full(len(source.pairs.true), np.nan), source.pairs.recording
+        for number, other in enumerate(without):
+            if other is not None:
+                left_out[of == number] = source.errors(other)[of == number]
+        measured, (factor, unit) = source.errors(None), source.unit
+        spreads = (source.spread(errors) for errors in (measured, source.errors(calibration), left_out))
+        shown = [MISSING if np.isnan(spread) else fixed(factor * spread, 1) + unit for spread in spreads]
+        head = [source.name, *[source.quantity] * (source.table == "stations")]
+        rows[source.table].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
+    for name, tag in calibration.tags.items() if len(calibration.tags) > 1 else ():
+        # There is no place on a body whose heading is not known.
+        places = (_term(*of, of[1] < DETERMINED * OFFSET_SIGMA) if of[1] else MISSING
+                  for of in zip(tag.offset, tag.offset_sigmas, strict=True))  # fmt: skip
+        rows["tags"].append([name, _term(tag.bias, tag.sigma, True), *places, str(tag.rows)])
+    looks = {"calibrated": "after"}
+    tables = {name: one._replace(rows=rows[name], looks=looks) for name, one in SECTIONS.items() if rows[name]}
+    return Report(tables, sources, NOTE)
+
+
+def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
+    of = {
+        "stations": ("bearings", ANGLES),
+        "anchors": ("ranges", ["range"]),
+        "differences": ("tdoa", ["range difference"]),
+    }
+    for table, (kind, quantities) in of.items():
+        for name, pairs in calibration_pairs(folders, KINDS[kind]).items():
+            yield from (Source(table, name, quantity, k, pairs) for k, quantity in enumerate(quantities))
+
+
+def _term(value: float, sigma: float, determined: bool) -> str:
+    text = f"{fixed(value, 3)}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{fixed(sigma, 3)}"
+    return text if determined else f"({text})"
+
+
+def errors_chart(source: Source, calibration: Calibration) -> Chart:
+    """Errors of the readings before and after calibration against the true value."""
+    factor, unit = source.unit
+    true = (factor if unit == "°" else 1.0) * source.pairs.true[:, source.column]
+    every = slice(None, None, -(-len(true) // POINTS))
+    parts = [Line([np.min(true), np.max(true)], [0, 0], "", BLACK, 0.9, "dash")]
+    for name, colour, of in (("as measured", BEFORE, None), ("calibrated", BLUE, calibration)):
+        parts.append(Line(true[every], factor * source.errors(of)[every], name, colour, 0.0, marker="circle", size=3))
+    labels = f"true {source.quantity} ({'°' if unit == '°' else 'm'})", f"error ({unit.strip()})"
+    name = f"{source.table}-{source.name}-{source.quantity}"
+    return Chart(name, f"{source.name}: {source.quantity}", *labels, parts, robust=True)
+
+
+def write_calibration_report(out: Path, calibration: Calibration, report: Report, command: Sequence[str]) -> Path:
+    """Writes the page beside the file `out`, with its name and the ending .html; returns the path."""
+    recordings, shown = calibration.recordings, [one for one in report.sources if np.isfinite(one.errors(None)).any()]
+    charts = [errors_chart(one, calibration) for one in shown[:SHOWN]]
+    summary = f"Systematic errors of {listed([*report.tables])}, from recordings with truth: {listed(recordings, 12)}."
+    most = f"Of the first {SHOWN}." if len(shown) > SHOWN else ""
+    sections = [*report.tables.values(), Section("Errors of readings", note=most, parts=[charts])]
+    title = f"Calibration on {counted(len(recordings), 'recording')}"
+    use = f"trackwright track RECORDING --calibration {out} --out out/tracks"
+    text = report_page("calibration", title, [summary, report.note], sections, [use, typed(command)])
+    return write_page(out.with_suffix(".html"), text)
+
+
+def survey_data(survey: Survey) -> dict[str, Any]:
+    """The anchors by id with their numbers, half-widths of 95 % intervals and verdicts; the effect, and the notes."""
+    anchors = {
+        name: {
+            "position_m": survey.positions[k], "half_width_m": survey.half_widths[k, :3], "delay_m": survey.delays[k],
+            "delay_half_width_m": (half := survey.half_widths[k, 3]), "delay_determined": half < DELAY_DETERMINED,
+            "rms_m": survey.rms[k], "ranges": survey.readings[k], "verdict": survey.verdict(name),
+        }
+        for k, name in enumerate(survey.names)
+    }  # fmt: skip
+    return {"anchors": anchors, "effect": survey.effect, "notes": survey.notes}
+
+
+def write_survey_page(out: Path, survey: Survey, command: Sequence[str]) -> Path:
+    """Writes the page beside the file `out`, with its name; returns its path."""
+    drawn = np.flatnonzero(survey.half_widths[:, :2].max(axis=1) < 2.0).tolist()
+    places, covs = survey.positions[drawn, :2], np.reshape([survey.block(k)[:2, :2] for k in drawn], (-1, 2, 2))
+    paths = [PlanPath("" if k else "walk", GREY, path[:, :2]) for k, path in enumerate(survey.paths)]
+    paths.append(PlanPath("", BLUE, np.full((1, 2), np.nan), places, covs, "95 % ellipse"))
+    chart = plan("survey", "Anchors with 95 % ellipses over the walks", paths, [], survey.rig)
+    summary = f"Positions and delays of {counted(len(survey.names), 'anchor')} without truth."
+    notes = [f"{note[0].upper()}{note[1:]}." for note in survey.notes]
+    table = Section("Anchors", survey.head, survey.rows(), 1, survey.reading, {survey.head[-1]: "long"}, [[chart]])
+    use = f"trackwright track RECORDING --out out/tracks, with {out} as its rig.toml"
+    text = report_page("survey", f"Survey of {survey.rig.name}", [summary, *notes], [table], [use, typed(command)])
+    return write_page(out.with_suffix(".html"), text)
