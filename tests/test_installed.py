@@ -106,7 +106,7 @@ def test_type_checkers_check_calls_in_a_users_project(beside, checker, installed
         r"mine.py:3.*(Argument 1 to .build. has incompatible|cannot be assigned to parameter .name.)", shown
     ), shown
     assert re.search(r"mine.py:4.*Evaluation", shown), shown
-    assert re.search(r"mine.py:5.*PoseTrajectory", shown), shown
+    assert re.search(r"mine.py:5.*DataFrame", shown), shown
     assert re.search(r"mine.py:6.*nothing|mine.py:6.*no attribute", shown), shown
 
 

@@ -9,24 +9,23 @@ from cyclopts import Parameter
 
 from trackwright.experiments.cli.options import File, Numbers, Tracker, TrackOptions
 
-Format = Literal["tum", "kitti", "csv", "ros2", "rrd", "c"]
+Format = Literal["tum", "csv", "c"]
 
 
 def export(
     run: Path, /, *, format: Format, out: Annotated[Path, Parameter(metavar="PATH")], tag: str | None = None,
     tracker: Tracker | None = None, noise: File | None = None, force: bool = False,
 ) -> int:  # fmt: skip
-    """Export tracks or truth: TUM, KITTI, CSV, ROS 2 bag, Rerun; or a tracker as C.
+    """Export tracks or truth as TUM or CSV; or a tracker as C.
 
-    csv has every column of tracks.parquet; ros2 and rrd have the covariances of the positions. tum and kitti have
-    positions alone (attitude: the identity where there is none); kitti has the times in a second file, NAME.times.txt.
+    csv has every column of tracks.parquet; tum has poses (attitude: the identity where there is none).
 
     c is a tracker for a recording folder, with its header, and the rows of the first tag as CSV, which `main` replays.
 
     Args:
         run: the output folder of `track`; or a recording folder, of which the truth is written.
-        format: of the file; ros2 needs the extra trackwright[ros], rrd the extra trackwright[rerun].
-        out: the file; of several tracks in tum or kitti, and for ros2, a new folder.
+        format: of the file.
+        out: the file; of several tracks in tum, a folder.
         tag: this tag alone.
         tracker: of c; default: as in `--noise`, else the one that fits the tables.
         noise: of c: a tuned.toml of `trackwright tune`.
@@ -34,7 +33,7 @@ def export(
     """
     if format == "c":
         return _export_c(run, out, tag, tracker, noise, force)
-    from trackwright.trackers.exchange.exported_tracks import export_tracks
+    from trackwright.trackers.exchange.trajectories import export_tracks
 
     for line in export_tracks(run, format, out, tag, force):
         print(line)

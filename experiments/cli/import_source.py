@@ -39,7 +39,7 @@ def import_source(
     thousands: Annotated[str, Parameter(metavar="MARK")] = "", encoding: str = "", replace: bool = False,
     messages: tuple[File, ...] = (),
 ) -> int:  # fmt: skip
-    """Import CSV, JSON lines, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
+    """Import CSV, JSON lines, ROS bags, MCAP, TUM or logs of UWB kits.
 
     Nothing is guessed: what is not mapped is skipped with a notice. docs/import.md has an example of each.
 

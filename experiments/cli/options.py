@@ -312,7 +312,7 @@ class PoseOptions:
 
     Args:
         align: fit each track to its truth first: se3, sim3 (with scale), scale, se2 (in x and y), origin (first pose).
-        time_offset: added to the times of the estimates; auto: the one that fits best.
+        time_offset: added to the times of the estimates.
         time_tolerance: largest distance in time between a pose and its true pose; default: 0.01.
         rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
         all_pairs: relative pose errors from every pose, not from the end of the step before.
@@ -320,7 +320,7 @@ class PoseOptions:
     """
 
     align: Alignment | None = None
-    time_offset: Annotated[Literal["auto"] | float, Parameter(metavar="S|auto")] = 0.0
+    time_offset: Annotated[float, Parameter(metavar="S")] = 0.0
     time_tolerance: Seconds | None = None
     rpe: tuple[Annotated[str, Parameter(metavar="STEP")], ...] = ()
     all_pairs: bool = False

@@ -52,7 +52,7 @@ DEFAULTS = EvaluateOptions()
 def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> int:
     """Error metrics of estimates against truth; a comparison of runs.
 
-    By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, KITTI, EuRoC, or a table
+    By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, or a table
     with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
 
     Of several runs: their metrics side by side, and each one's differences from the first, with --json and --out alone.

@@ -15,7 +15,6 @@ from trackwright.trackers.evaluation.metrics import METRICS, Metric
 from trackwright.trackers.recordings.atomic import json_text
 
 if TYPE_CHECKING:
-    from trackwright.trackers.exchange.estimates import ComparedTrack
     from trackwright.trackers.exchange.pose_errors import Statistics, TrajectoryErrors
 
 SHOWN_TRACKS, SHOWN_RECORDINGS = 10, 5
@@ -134,32 +133,23 @@ def _notes(evaluation: Evaluation, columns: Sequence[Metric]) -> Iterator[str]:
         yield f"Excluded of {overall['n_rows']} rows: {', '.join(excluded)}."
 
 
-def pose_errors_text(compared: Sequence[ComparedTrack], align: str, width: int, fitted_offset: bool = False) -> str:
-    """The errors of each track, a row for each kind of error, and what was done to the estimates before.
-
-    `fitted_offset`: whether the time offset is the one that fits best.
-    """
-    worst = sorted(compared, key=lambda track: -track.errors.ape_m["rmse"])[:SHOWN_TRACKS]
-    unit = length_unit(worst[0].errors.ape_m["rmse"])
+def pose_errors_text(compared: Sequence[TrajectoryErrors], align: str, width: int) -> str:
+    """The errors of each track, a row for each kind of error, and what was done to the estimates before."""
+    worst = sorted(compared, key=lambda track: -track.ape_m["rmse"])[:SHOWN_TRACKS]
+    unit = length_unit(worst[0].ape_m["rmse"])
     table = compact_table("Absolute and relative pose errors", ["tag", "error"], ["unit", "n", *_STATISTICS])
     for track in worst:
-        for label, name, factor, of in _rows(track.errors, unit.name, unit.factor):
+        for label, name, factor, of in _rows(track, unit.name, unit.factor):
             digits = unit.digits + 1 if name == unit.name else 3
             table.add_row(track.tag, label, name, str(of["n"]), *(fixed(of[k] * factor, digits) for k in _STATISTICS))
-    errors = [track.errors for track in compared]
-    offsets, scales = sorted({round(e.time_offset, 4) for e in errors}), [e.similarity.scale for e in errors]
-    offset = " to ".join(f"{x:.12g}" for x in dict.fromkeys((offsets[0], offsets[-1])))
+    scales = [e.similarity.scale for e in compared]
     scale = " to ".join(dict.fromkeys((f"{min(scales):.6g}", f"{max(scales):.6g}")))
     scale = "" if scale == "1" else f", scale {scale}"
-    biases = [e.speed_mps["bias"] for e in errors if e.speed_mps is not None]
     notes = {
-        f"As evo: {sum(e.pairs for e in errors)} of {sum(e.possible for e in errors)} poses have a true pose within "
-        f"{errors[0].tolerance:g} s; time offset {offset} s; alignment {align}{scale}.": True,
+        f"As evo: {sum(e.pairs for e in compared)} of {sum(e.possible for e in compared)} poses have a true one within "
+        f"{worst[0].tolerance:g} s; time offset {worst[0].time_offset:.12g} s; alignment {align}{scale}.": True,
         "The errors in the first table are of all rows, at the time of each, by the truth interpolated there.": True,
-        "The fitted time offset holds the delay of a filter, too; only a smoothed track (`track --smooth`) shows the "
-        "clocks' alone.": fitted_offset,
-        "APE and RPE are horizontal: a height is unknown.": any(e.planar for e in errors),
-        f"Speed: horizontal, over 0.5 s; mean error {sum(biases) / max(len(biases), 1):+.4f} m/s.": bool(biases),
+        "APE and RPE are horizontal: a height is unknown.": any(e.planar for e in compared),
         f"At most {SHOWN_TRACKS} tracks are listed, those with the largest APE.": len(compared) > SHOWN_TRACKS,
     }
     return rendered(width, table, *(note for note, holds in notes.items() if holds))
@@ -174,5 +164,3 @@ def _rows(errors: TrajectoryErrors, unit: str, factor: float) -> Iterator[tuple[
         yield f"RPE {step}", unit, factor, statistics
         if step in errors.rpe_rad:
             yield f"RPE {step}, angle", "deg", 180 / math.pi, errors.rpe_rad[step]
-    if errors.speed_mps is not None:
-        yield "speed", "m/s", 1.0, errors.speed_mps

@@ -1,12 +1,10 @@
 from trackwright.trackers.exchange.imported import import_frames as import_frames
 from trackwright.trackers.exchange.pose_errors import TrajectoryErrors as TrajectoryErrors
 from trackwright.trackers.exchange.pose_errors import compare_trajectories as compare_trajectories
-from trackwright.trackers.exchange.trajectories import PoseTrajectory as PoseTrajectory
 from trackwright.trackers.exchange.trajectories import read_trajectory as read_trajectory
 from trackwright.trackers.exchange.trajectories import write_trajectory as write_trajectory
 
 __all__ = [
-    "PoseTrajectory",
     "TrajectoryErrors",
     "compare_trajectories",
     "import_frames",

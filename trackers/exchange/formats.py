@@ -32,10 +32,6 @@ FORMATS: dict[str, Format] = {
     "trek1000": Format("a log of a TREK1000 kit", "kit_logs", (), r"m[acr] [0-9a-fA-F]{2} "),
     "fira": Format("a log of a kit with FiRa, as DWM3001CDK", "kit_logs", (), r'\{"Block":\s*\d+'),
     "tum": Format("a TUM trajectory", "trajectories", (".tum",), _FIRST.format(r"[^,\s]+(?:[ \t]+[^,\s]+){7}")),
-    "kitti": Format("a KITTI trajectory", "trajectories", (".kitti",), _FIRST.format(r"[^,\s]+(?:[ \t]+[^,\s]+){11}")),
-    # EuRoC counts whole nanoseconds.
-    "euroc": Format("a EuRoC trajectory", "trajectories", (".euroc",),
-        _FIRST.format(r"-?\d+[ \t]*(?:,[ \t]*[^,\s][^,\n]*){7,},?")),
     "json": Format("JSON lines (.jsonl, .ndjson, .json)", "mapping", (".jsonl", ".ndjson", ".json"),
         r"^[^{\n]*\{.*\}\s*$"),
 }  # fmt: skip
@@ -49,9 +45,9 @@ def format_of(path: Path) -> str:
     if path.is_dir():
         raise UnusableInput(f"{path}: is a folder without metadata.yaml; expected a ROS 2 bag, or a file")
     named = next((name for name, entry in FORMATS.items() if path.name.lower().endswith(entry.endings)), None)
-    begin = beginning_of(path) if named in (None, "csv", "json") else ""
-    # EuRoC's own files are called data.csv, and results of FiRa are JSON.
-    if named and not (begin.startswith("#timestamp") or re.search(FORMATS["fira"].begins, begin)):
+    begin = beginning_of(path) if named in (None, "json") else ""
+    # Results of FiRa are JSON.
+    if named and not re.search(FORMATS["fira"].begins, begin):
         return named
     for name, entry in FORMATS.items():
         if re.search(entry.begins, begin, re.MULTILINE):

@@ -1,28 +1,38 @@
-"""Errors of a trajectory against the true one as evo defines them: alignment, time offset, association, APE and RPE."""
+"""Estimates of any program against true paths: alignment, association, APE and RPE as evo defines them, and metrics."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import polars as pl
 
-from trackwright.trackers.core.data.seconds import HOLE_S, span
-from trackwright.trackers.core.errors import UnusableInput, require
-from trackwright.trackers.core.model.rig import rotation_matrices
-from trackwright.trackers.exchange.trajectories import PoseTrajectory, Similarity
+from trackwright.trackers.core.data.seconds import span
+from trackwright.trackers.core.errors import UnusableInput, listed, require
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate
+from trackwright.trackers.exchange.expressions import numbers_of
+from trackwright.trackers.exchange.mapping import refuse_lost_digits
+from trackwright.trackers.exchange.trajectories import Poses, Similarity, poses_of, read_trajectory
+from trackwright.trackers.recordings.checks.rules import check_units
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
+from trackwright.trackers.recordings.selection import Selection
+from trackwright.trackers.recordings.tables import SUFFIXES, check_stds, read_table_file
+from trackwright.trackers.recordings.tracks_table import is_bearing, read_tracks
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 Statistics = dict[str, float]
 ALIKE = 0.3  # the least correlation of aligned positions with the true ones from which an alignment is taken
-WINDOW_S, GRID_S, LONGEST_S = 0.5, 0.05, 10_000.0  # of centred speeds, their grid for a time offset, the longest one
+STEPS = ("1m", "1s")
+_TEXT = ("recording", "tag", "station", "status", "wrapped")
 
 
-def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) -> Similarity:
+def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estimate") -> Similarity:
     """The map of least squares from poses to true ones, row k to row k (Umeyama 1991); or UnusableInput.
 
     `se2`: in the plane; `scale`: the scale of `sim3` alone; `origin`: the first pose on the first true pose.
@@ -32,11 +42,11 @@ def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) 
     axes, n = (2 if kind == "se2" else 3), len(x)
     if kind == "none":
         return Similarity(rotation, translation, flat=True)
-    if axes == 3 and (unknown := [t.name for t in (estimate, truth) if not np.isfinite(t.positions).all()]):
-        raise UnusableInput(f"{unknown[0]}: has no height; expected x, y, z for --align {kind}; use --align se2")
+    if axes == 3 and not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise UnusableInput(f"{name}: it or its truth has no height; expected x, y, z for --align {kind}; use se2")
     if kind == "origin":
-        if estimate.quaternions is not None and truth.quaternions is not None:
-            rotation = rotation_matrices(truth.quaternions[0]) @ rotation_matrices(estimate.quaternions[0]).T
+        if estimate.attitudes is not None and truth.attitudes is not None:
+            rotation = (truth.attitudes[0] * estimate.attitudes[0].inv()).as_matrix()
         return Similarity(rotation, y[0] - rotation @ x[0])
     x, y = x[:, :axes], y[:, :axes]
     from_x, from_y = x - x.mean(axis=0), y - y.mean(axis=0)
@@ -46,7 +56,7 @@ def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) 
     # A tag at rest turns as the noise of its positions does, which does not follow the truth.
     still = n * (d * signs).sum() <= ALIKE * np.linalg.norm(from_x) * np.linalg.norm(from_y)
     if still or np.count_nonzero(d > np.finfo(float).eps) < axes - 1:
-        found = f"{estimate.name}: its {n} poses lie on a line, or do not move with the truth"
+        found = f"{name}: its {n} poses lie on a line, or do not move with the truth"
         fix = "use --align none, or origin where heights are known"
         raise UnusableInput(f"{found}, so that --align {kind} finds no rotation; expected motion; {fix}")
     scale = float((d * signs).sum() / ((from_x**2).sum() / n)) if kind in ("sim3", "scale") else 1.0
@@ -56,79 +66,10 @@ def alignment(kind: Alignment, estimate: PoseTrajectory, truth: PoseTrajectory) 
     return Similarity(rotation, translation, scale, flat=kind == "se2")
 
 
-def estimate_offset(estimate: PoseTrajectory, truth: PoseTrajectory, align: Alignment = "none") -> float:
-    """The time, s, to add to the times of an estimate so that it fits the truth best, to 0.1 ms.
-
-    First the lag at which horizontal speeds correlate best; then, within 0.5 s of it, the offset of the least distance
-    between the aligned estimate and the interpolated truth. Raises UnusableInput where no correlation reaches 0.5.
-    """
-    from scipy.optimize import minimize_scalar
-    from scipy.signal import correlate, correlation_lags
-
-    lasts = [float(t.times[-1] - t.times[0]) for t in (estimate, truth)]
-    if min(lasts) < 4 * WINDOW_S or max(lasts) > LONGEST_S:
-        expected = f"expected 2 to {LONGEST_S:,.0f} s; give --time-offset in seconds"
-        raise UnusableInput(f"{estimate.name}: {lasts[0]:.3g} s, and {lasts[1]:.3g} s of truth; {expected}")
-    grids = [np.arange(t.times[0], t.times[-1] - WINDOW_S, GRID_S) + WINDOW_S / 2 for t in (estimate, truth)]
-    # Rounding may put the ends of the windows beyond the trajectory's; without means, sums lose fewer digits.
-    v, w = (np.nan_to_num(_speeds(t, grid)) for t, grid in zip((estimate, truth), grids, strict=True))
-    v, w, one, true_one = v - v.mean(), w - w.mean(), np.ones_like(v), np.ones_like(w)
-    of = ((one, true_one), (v, true_one), (one, w), (v, w), (v * v, true_one), (one, w * w))
-    n, *sums = (correlate(b, a, method="fft") for a, b in of)
-    mean_v, mean_w, product, square_v, square_w = (each / n for each in sums)
-    variances = (square_v - mean_v**2) * (square_w - mean_w**2)
-    r = (product - mean_v * mean_w) / np.sqrt(np.maximum(variances, 1e-18))
-    r[np.round(n) < min(len(v), len(w)) / 2] = 0.0
-    if r.max() < 0.5:
-        found = f"{estimate.name}: no time offset fits: speeds correlate with the true ones by {r.max():.2f}"
-        raise UnusableInput(f"{found}; expected 0.5 or more, from changes of speed; give --time-offset in seconds")
-    coarse = grids[1][0] - grids[0][0] + correlation_lags(len(w), len(v))[r.argmax()] * GRID_S
-    estimate = estimate.at_rows(np.unique(np.linspace(0, len(estimate) - 1, 5000).astype(int)))
-
-    def distance(offset: float) -> float:
-        times = estimate.times + offset
-        rows = np.flatnonzero((times >= truth.times[0]) & (times <= truth.times[-1]))
-        if len(rows) < max(3, 0.25 * min(len(estimate), len(truth))):
-            return math.inf
-        part, true = estimate.at_rows(rows), PoseTrajectory(times[rows], _places(truth, times[rows]), None, truth.name)
-        # The first pose alone would follow the noise of one row.
-        moved = alignment("none" if align == "origin" else align, part, true).points(part.positions)
-        return float(np.sqrt(np.mean(np.nansum((moved - true.positions) ** 2, axis=1))))
-
-    # The distance has one minimum near the right offset, but small ripples where poses enter and leave the overlap.
-    grid = coarse + np.linspace(-0.5, 0.5, 41)
-    best = int(np.argmin([distance(offset) for offset in grid]))
-    bounds = (grid[max(best - 1, 0)], grid[min(best + 1, 40)])
-    return float(minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": 5e-5}).x)
-
-
-def _places(poses: PoseTrajectory, times: np.ndarray) -> np.ndarray:
-    """The interpolated positions (n, 3), m, at times (n,), s; NaN before the first and after the last."""
-    known, rows = np.unique(poses.times, return_index=True)
-    return np.stack([np.interp(times, known, axis, np.nan, np.nan) for axis in poses.positions[rows].T], axis=-1)
-
-
-def _speeds(poses: PoseTrajectory, times: np.ndarray) -> np.ndarray:
-    """Horizontal speeds (n,), m/s, over `WINDOW_S` round each time; NaN at the ends."""
-    before, after = (_places(poses, times + way * WINDOW_S / 2)[:, :2] for way in (-1, 1))
-    return np.linalg.norm(after - before, axis=1) / WINDOW_S
-
-
-def step_of(text: str) -> tuple[str, float, str]:
-    """The name, size and unit of a step as `1m` (along the path), `0.5s` or `10f` (rows); else raises UnusableInput."""
-    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([msf])", text.strip())
-    if match is None or float(match[1]) == 0 or (match[2] == "f" and float(match[1]) % 1):
-        raise UnusableInput(f"--rpe {text!r}; expected a step such as 1m, 0.5s or 10f (rows), above zero")
-    return f"{float(match[1]):g}{match[2]}", float(match[1]), match[2]
-
-
-def associate(
-    estimate: PoseTrajectory, truth: PoseTrajectory, tolerance: float = 0.01, offset: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """The rows that belong together: for each pose of the shorter, the nearest of the longer within `tolerance`, s."""
+def associate(estimate: np.ndarray, truth: np.ndarray, tolerance: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
+    """The rows whose times belong together: for each of the fewer the nearest of the others within `tolerance`, s."""
     longer = len(estimate) > len(truth)
-    short, long = (truth, estimate) if longer else (estimate, truth)
-    nearest, apart = _nearest(long.times + (offset if longer else -offset), short.times)
+    nearest, apart = _nearest(*((estimate, truth) if longer else (truth, estimate)))
     kept = np.flatnonzero(apart <= tolerance)
     return (nearest[kept], kept) if longer else (kept, nearest[kept])
 
@@ -142,7 +83,15 @@ def _nearest(ordered: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.where(apart[0] <= apart[1], rows[0], rows[1]), apart.min(axis=0)
 
 
-def _pairs(poses: PoseTrajectory, size: float, unit: str, all_pairs: bool) -> tuple[np.ndarray, np.ndarray]:
+def step_of(text: str) -> tuple[str, float, str]:
+    """The name, size and unit of a step as `1m` (along the path), `0.5s` or `10f` (rows); else raises UnusableInput."""
+    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([msf])", text.strip())
+    if match is None or float(match[1]) == 0 or (match[2] == "f" and float(match[1]) % 1):
+        raise UnusableInput(f"--rpe {text!r}; expected a step such as 1m, 0.5s or 10f (rows), above zero")
+    return f"{float(match[1]):g}{match[2]}", float(match[1]), match[2]
+
+
+def _pairs(poses: Poses, size: float, unit: str, all_pairs: bool) -> tuple[np.ndarray, np.ndarray]:
     """First and last rows of the relative errors: each from the end of the one before, or from every pose."""
     metres, seconds = np.linalg.norm(np.diff(poses.positions, axis=0), axis=1), np.diff(poses.times)
     lengths = {"m": metres, "s": seconds, "f": np.ones(len(seconds))}[unit]
@@ -168,96 +117,217 @@ def statistics(errors: np.ndarray) -> Statistics:
     return {"n": len(errors), "rmse": math.sqrt(squares / len(errors))} | named | {"sse": squares}
 
 
-def _speed_errors(estimated: PoseTrajectory, true: PoseTrajectory, times: np.ndarray) -> Statistics | None:
-    """Of estimated less true speeds, with their mean `bias`; intervals that touch a hole are left out."""
-    errors = _speeds(estimated, times) - _speeds(true, times)
-    for known in (np.unique(estimated.times), np.unique(true.times)):
-        # By the rows between which each end lies; before and after all there is no gap.
-        gaps = np.concatenate([[0.0], np.diff(known), [0.0]])
-        ends = np.searchsorted(known, times[:, None] + np.array([-0.5, 0.5]) * WINDOW_S)
-        errors[(gaps[ends] > HOLE_S).any(axis=1)] = np.nan
-    errors = errors[np.isfinite(errors)]
-    return statistics(np.abs(errors)) | {"bias": float(errors.mean())} if len(errors) else None
-
-
 @dataclass(frozen=True, eq=False)
 class TrajectoryErrors:
-    """Statistics of absolute errors (`ape`), of relative ones by step (`rpe`), and of horizontal speeds over 0.5 s.
+    """Statistics of absolute errors (`ape`) and of relative ones by step (`rpe`) of a track.
 
     `pairs`: poses with a true one, of `possible`, the length of the shorter trajectory. `planar`: a height is unknown,
-    so that errors are horizontal. `time_offset`, s, and `similarity` lead from the estimate to `aligned`.
+    so that errors are horizontal. `time_offset`, s, and `similarity` lead from the estimate to the table `aligned`.
     """
 
-    name: str
     pairs: int
     possible: int
     planar: bool
     time_offset: float
     tolerance: float
     similarity: Similarity
-    aligned: PoseTrajectory
+    aligned: pl.DataFrame
     ape_m: Statistics
     ape_rad: Statistics | None
     rpe_m: Mapping[str, Statistics]
     rpe_rad: Mapping[str, Statistics]
-    speed_mps: Statistics | None
+    recording: str = ""
+    tag: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """All of it in plain numbers, for JSON; the angles in rad."""
-        names, s = ("pairs", "possible", "planar", "ape_m", "ape_rad", "rpe_m", "rpe_rad", "speed_mps"), self.similarity
+        names = ("recording", "tag", "pairs", "possible", "planar", "ape_m", "ape_rad", "rpe_m", "rpe_rad")
+        s = self.similarity
         moved = {"rotation": s.rotation, "translation_m": s.translation, "scale": s.scale}
         times = {"time_offset_s": self.time_offset, "time_tolerance_s": self.tolerance, "alignment": moved}
         return times | {name: getattr(self, name) for name in names}
 
 
 def compare_trajectories(
-    estimate: PoseTrajectory,
-    truth: PoseTrajectory,
+    estimate: pl.DataFrame,
+    truth: pl.DataFrame,
     align: Alignment = "none",
-    time_offset: float | Literal["auto"] = 0.0,
+    time_offset: float = 0.0,
     tolerance: float = 0.01,
-    rpe: Sequence[str] = ("1m", "1s"),
+    rpe: Sequence[str] = STEPS,
     all_pairs: bool = False,
+    *,
+    name: str = "estimate",
 ) -> TrajectoryErrors:
     """The errors of an estimated trajectory, as evo defines them: of poses at most `tolerance`, s, apart.
 
-    `align`: see `alignment`. `time_offset`: s, added to the times of the estimate; "auto" estimates it. `rpe`: steps as
-    1m, 1s or 10f (rows). `all_pairs`: from every pose, over steps that fit to a tenth. Relative errors are of
-    displacements in the frame of the truth, with attitudes in the body's. Raises UnusableInput where nothing fits.
+    Tables of one tag with t_s, x_m, y_m and, where known, z_m, qw … qz. `align`: see `alignment`. `time_offset`: s,
+    added to the times of the estimate. `rpe`: steps as 1m, 1s or 10f (rows). `all_pairs`: from every pose, over steps
+    that fit to a tenth. Relative errors are of displacements in the frame of the truth, with attitudes in the body's.
+    Raises UnusableInput where nothing fits.
     """
     steps = [step_of(text) for text in rpe]
     require(tolerance >= 0, "tolerance", tolerance, "a time of zero or more, s")
-    offset = estimate_offset(estimate, truth, align) if time_offset == "auto" else float(time_offset)
-    rows, true_rows = associate(estimate, truth, tolerance, offset)
+    own, true = (poses_of(table, what) for table, what in ((estimate, name), (truth, f"truth of {name}")))
+    times = own.times + time_offset
+    rows, true_rows = associate(times, true.times, tolerance)
     if not len(rows):
-        (first, last), (begin, end) = estimate.times[[0, -1]] + offset, truth.times[[0, -1]]
-        apart = np.median(_nearest(truth.times, estimate.times + offset)[1])
-        found = f"no pose lies within {tolerance:g} s of a true pose: estimates from {span(first, last)}"
-        begins = f"a --time-offset: with {round(begin - estimate.times[0], 6):.16g} both begin together"
+        apart = np.median(_nearest(true.times, times)[1])
+        found = f"no pose lies within {tolerance:g} s of a true pose: estimates from {span(*times[[0, -1]])}"
+        begins = f"a --time-offset: with {round(true.times[0] - own.times[0], 6):.16g} both begin together"
         fix = f"{begins}; or a larger --time-tolerance: half of the poses have a true one within {apart:.3g} s"
-        raise UnusableInput(f"{estimate.name}: {found}, truth from {span(begin, end)}; give {fix}")
-    similarity = alignment(align, estimate.at_rows(rows), truth.at_rows(true_rows))
-    aligned = replace(similarity.trajectory(estimate), times=estimate.times + offset)
-    planar = not (np.isfinite(estimate.positions).all() and np.isfinite(truth.positions).all())
-    pair = [aligned.at_rows(rows), truth.at_rows(true_rows)]
+        raise UnusableInput(f"{name}: {found}, truth from {span(*true.times[[0, -1]])}; give {fix}")
+    similarity = alignment(align, own.at(rows), true.at(true_rows), name)
+    aligned = similarity.table(estimate).with_columns(pl.col("t_s") + time_offset)
+    pair = [poses_of(aligned, name).at(rows), true.at(true_rows)]
+    planar = not (np.isfinite(own.positions).all() and np.isfinite(true.positions).all())
     if planar:
-        pair = [replace(t, positions=np.nan_to_num(t.positions) * [1, 1, 0]) for t in pair]
-    given = [t.quaternions for t in pair if t.quaternions is not None]
-    turns = [Rotation.from_quat(q, scalar_first=True) for q in given] if len(given) == 2 else []
+        pair = [one._replace(positions=np.nan_to_num(one.positions) * [1, 1, 0]) for one in pair]
+    turns = [one.attitudes for one in pair if one.attitudes is not None]
     rpe_m, rpe_rad = dict[str, Statistics](), dict[str, Statistics]()
     for step, size, unit in steps:
         first, last = _pairs(pair[0], size, unit, all_pairs)
         if not len(first):
             continue
-        moved = [t.positions[last] - t.positions[first] for t in pair]
-        if turns:
+        moved = [one.positions[last] - one.positions[first] for one in pair]
+        if len(turns) == 2:
             moved = [turn[first].inv().apply(way) for turn, way in zip(turns, moved, strict=True)]
-            estimated, true = (turn[first].inv() * turn[last] for turn in turns)
-            rpe_rad[step] = statistics((true.inv() * estimated).magnitude())
+            estimated, of_truth = (turn[first].inv() * turn[last] for turn in turns)
+            rpe_rad[step] = statistics((of_truth.inv() * estimated).magnitude())
         rpe_m[step] = statistics(np.linalg.norm(moved[0] - moved[1], axis=1))
     return TrajectoryErrors(
-        estimate.name, len(rows), min(len(estimate), len(truth)), planar, offset, tolerance, similarity, aligned,
+        len(rows), min(len(times), len(true.times)), planar, time_offset, tolerance, similarity, aligned,
         ape_m=statistics(np.linalg.norm(pair[0].positions - pair[1].positions, axis=1)),
-        ape_rad=statistics((turns[0].inv() * turns[1]).magnitude()) if turns else None,
-        rpe_m=rpe_m, rpe_rad=rpe_rad, speed_mps=_speed_errors(aligned, truth, pair[0].times),
+        ape_rad=statistics((turns[0].inv() * turns[1]).magnitude()) if len(turns) == 2 else None,
+        rpe_m=rpe_m, rpe_rad=rpe_rad,
     )  # fmt: skip
+
+
+def pooled_names(steps: Iterable[str]) -> list[str]:
+    """The names that `pooled` may have with relative errors over these steps."""
+    return ["ape_m", *(f"rpe_{step_of(step)[0]}_m" for step in steps)]
+
+
+def pooled(errors: Sequence[TrajectoryErrors]) -> dict[str, float]:
+    """Root mean squares over all tracks, for `--fail-if`: ape_m, rpe_STEP_m."""
+    rows = [("ape_m", e.ape_m) for e in errors] + [(f"rpe_{s}_m", x) for e in errors for s, x in e.rpe_m.items()]
+    by_name = {name: [x for n, x in rows if n == name] for name, _ in rows}
+    return {name: math.sqrt(sum(x["sse"] for x in all_) / sum(x["n"] for x in all_)) for name, all_ in by_name.items()}
+
+
+def read_estimates(path: Path) -> tuple[pl.DataFrame, list[str]]:
+    """The estimates in a TUM file, or a table with columns that `track` writes, and notices; or UnusableInput."""
+    if not path.name.lower().endswith(SUFFIXES):
+        return read_trajectory(path)
+    file = read_table_file(path)
+    columns = file.frame.columns
+    stds = {"std_x_m", "std_y_m"} if {"std_x_m", "std_y_m"} & {*columns} else set()
+    if missing := sorted({"t_s", "x_m", "y_m", *stds} - {*columns}):
+        expected = "expected t_s, x_m, y_m and optionally z_m, std_x_m with std_y_m …, qw … qz"
+        fix = "bring it into this form by `trackwright import`"
+        raise UnusableInput(f"{path}: no column {', '.join(missing)}; found {listed(columns, 12)}; {expected}; {fix}")
+    frame = file.frame.select(
+        pl.col(name).cast(pl.String) if name in _TEXT else numbers_of(file, name) for name in columns
+    )
+    # The standard deviation of a known height is 0.
+    reported = frame.select(pl.col("^std_.*$").replace(0.0, None))
+    check_stds(file, reported, reported.columns)
+    keys = [name for name in ("recording", "tag", "station") if name in columns]
+    for rows in frame.partition_by(keys) if keys else [frame]:
+        refuse_lost_digits(f"{path}", rows)
+    return frame, []
+
+
+def _truths(paths: Sequence[Path], tag: str, say: Callable[[str], None]) -> list[RecordingFolder]:
+    """The recordings, or a trajectory file as the truth of one tag; raises UnusableInput without a truth."""
+    expected = "expected recording folders with truth, or one trajectory file: --truth FOLDER|FILE"
+    if not paths or (len(paths) > 1 and not all(path.is_dir() for path in paths)):
+        raise UnusableInput(f"--truth: found {listed(paths) or 'none'}; {expected}")
+    if missing := [path for path in paths if not path.exists()]:
+        raise UnusableInput(f"--truth {missing[0]}: does not exist; {expected}")
+    if paths[0].is_dir():
+        folders = read_recordings(paths)
+    else:
+        table, lines = read_estimates(paths[0])
+        table = table if "tag" in table.columns else table.with_columns(tag=pl.lit(tag))
+        names = [n for n in ("t_s", "tag", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz") if n in table.columns]
+        name = paths[0].stem
+        folders = [RecordingFolder(name, paths[0], Rig(name), {"truth": table.select(names)}, tuple(lines))]
+    for path, folder in zip(paths, folders, strict=True):
+        for line in folder.notices:
+            say(f"{path}: {line}")
+    if not any("truth" in folder.tables for folder in folders):
+        raise UnusableInput(f"{paths[0]}: no truth table; {expected}")
+    return folders
+
+
+def _assigned(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame], tag: str | None, path: Path) -> pl.DataFrame:
+    """The estimates with `recording` and `tag`, those of the truth where the file at `path` names none."""
+    tags = sorted({str(t) for truth in truths.values() for t in truth["tag"].unique()})
+    for name, known, option in (("recording", [*truths], "--truth"), ("tag", tags, "--tag")):
+        if name not in tracks.columns:
+            given = known if tag is None or name == "recording" else [one for one in known if one == tag]
+            if len(given) != 1:
+                found = f"{path}: names no {name}; the truth has {listed(known)}"
+                raise UnusableInput(f"{found}; give one of these that it follows by {option}")
+            tracks = tracks.with_columns(pl.lit(given[0]).alias(name))
+    return tracks
+
+
+@dataclass(frozen=True)
+class PoseComparison:
+    """Estimates, of a file or a folder of `track`, and the recordings with their truths."""
+
+    tracks: pl.DataFrame
+    folders: list[RecordingFolder]
+
+    @classmethod
+    def read(
+        cls, source: Path, truth: Sequence[Path], part: Selection, check: bool, say: Callable[[str], None]
+    ) -> PoseComparison:
+        """Reads them; `truth`: recordings, or a trajectory file of the one tag that the estimates follow. `check`: the
+        units of a file. `say` gets each notice. Raises UnusableInput."""
+        name, tag = None, next(iter(part.tags), None)
+        if source.is_dir():
+            tracks = part.of_estimates(read_tracks(source))
+            followed = tracks.select("recording", "tag").unique()
+            name, tag = followed.row(0) if len(followed) == 1 else (None, None)
+        elif len(part.tags) > 1:
+            raise UnusableInput(f"--tag {' '.join(part.tags)}: a file of estimates follows one tag; expected one")
+        folders = _truths(truth, tag or "1", say)
+        if name is not None and not truth[0].is_dir():
+            folders = [replace(folders[0], name=name)]
+        if not source.is_dir():
+            read, lines = read_estimates(source)
+            truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
+            tracks = part.of_estimates(_assigned(read, truths, tag, source))
+            # Beside a truth in a file there is no geometry by which estimates may be large.
+            for folder in (folder for folder in folders if folder.rig.places() and check):
+                own = {"fixes": tracks.filter(pl.col("recording") == folder.name)}
+                lines = [*lines, *(result.message for result in check_units(folder.rig, own))]
+            for line in lines:
+                say(f"{source}: {line}")
+        return cls(tracks, folders)
+
+    def compared(self, *options: Any) -> tuple[pl.DataFrame, list[TrajectoryErrors], Evaluation]:
+        """The tracks as they are compared, the errors of each that has a truth, and the metrics with pooled errors.
+
+        `options`: those of `compare_trajectories`. Raises UnusableInput.
+        """
+        if is_bearing(self.tracks):
+            raise UnusableInput("the tracks hold bearings; expected positions; leave the trajectory options out")
+        none, compared = pl.DataFrame(schema={"tag": pl.String}), list[TrajectoryErrors]()
+        truths = {folder.name: folder.tables.get("truth", none) for folder in self.folders}
+        by_track = self.tracks.partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
+        for (recording, tag), rows in by_track.items():
+            truth = truths.get(str(recording), none).filter(pl.col("tag").cast(pl.String) == str(tag))
+            if not truth.is_empty():
+                errors = compare_trajectories(rows, truth, *options, name=f"track of tag {tag} in '{recording}'")
+                compared.append(replace(errors, recording=str(recording), tag=str(tag)))
+        if not compared:
+            known = [f"{n}: {listed(sorted(t['tag'].unique().cast(pl.String)))}" for n, t in truths.items()]
+            found = f"tracks of {listed(f'{name}, tag {tag}' for name, tag in by_track)}; truth of {listed(known)}"
+            raise UnusableInput(f"no track has a truth: {found}; give the --truth of the same recording and tag")
+        moved = pl.concat([errors.aligned for errors in compared])
+        evaluation = evaluate(moved, self.folders)
+        return moved, compared, replace(evaluation, overall=evaluation.overall | pooled(compared))

@@ -1,89 +1,46 @@
-"""Trajectories: lists of poses, the maps that move them, and their files in the formats TUM, KITTI and EuRoC."""
+"""Trajectories as tables of poses: the maps that move them, TUM files, and the export of tracks and truths."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
-from trackwright.trackers.core.data.seconds import span
-from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.rig import rotation_matrices
+from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.rows import AXES, covariances
 from trackwright.trackers.exchange.expressions import numbers_of
-from trackwright.trackers.exchange.formats import FORMATS, beginning_of
 from trackwright.trackers.exchange.mapping import Asked, Source, refuse_lost_digits
 from trackwright.trackers.exchange.text_tables import Reading, read_rows
-from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.atomic import write_whole
 from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.kinds import QUATERNION
+from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.tables import TableFile, first_row, restarted_at, unwrapped_times
-from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE
+from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, read_tracks
 
-Kind = Literal["tum", "kitti", "euroc"]
-
-_FORMS: dict[str, tuple[int, str, str]] = {
-    "tum": (8, " ", "8 numbers: time in s, x, y, z in m, quaternion x, y, z, w, separated by blanks"),
-    "kitti": (12, " ", "12 numbers: the upper three rows of the pose matrix, separated by blanks"),
-    "euroc": (8, ",", "at least 8 numbers: time in ns, x, y, z in m, quaternion w, x, y, z, separated by commas"),
-}
-"""By the name of a format: numbers of a line, what separates them, and both in words."""
-
-_IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+TUM = ("t_s", *AXES, *QUATERNION[1:], QUATERNION[0])
+_TUM_WORDS = "8 numbers in each line: time in s, x, y, z in m, quaternion x, y, z, w; other files: `trackwright import`"
 _STDS, _VELOCITY = tuple(f"std_{axis}" for axis in AXES), tuple(f"v{axis}_mps" for axis in "xyz")
 
 
-@dataclass(frozen=True, eq=False)
-class PoseTrajectory:
-    """Poses over time: `times` (n,) s, `positions` (n, 3) m, `quaternions` (n, 4) w, x, y, z, body to world, or None.
-
-    The height is NaN where it is unknown. Raises UnusableInput for other shapes, and what is not finite.
-    """
+class Poses(NamedTuple):
+    """`times` (n,) s, in order, `positions` (n, 3) m, the height NaN where unknown, and attitudes, or None."""
 
     times: np.ndarray
     positions: np.ndarray
-    quaternions: np.ndarray | None = None
-    name: str = "trajectory"
-    notices: tuple[str, ...] = ()
+    attitudes: Rotation | None
 
-    def __post_init__(self) -> None:
-        n = len(self.times)
-        q = np.tile(_IDENTITY, (n, 1)) if self.quaternions is None else self.quaternions
-        if n == 0 or np.shape(self.positions) != (n, 3) or np.shape(q) != (n, 4):
-            found = f"{n} times, positions {np.shape(self.positions)}, quaternions {np.shape(q)}"
-            raise UnusableInput(f"{self.name}: {found}; expected one pose at least, (n, 3) and (n, 4)")
-        sizes = np.linalg.norm(q, axis=1)
-        usable = np.isfinite(np.column_stack([self.times, self.positions[:, :2], sizes])).all(axis=1) & (sizes > 0)
-        if not usable.all():
-            expected = "finite times and positions, and no zero quaternion; leave such poses out"
-            raise UnusableInput(f"{self.name}: pose {usable.argmin() + 1} is unusable; expected {expected}")
-        if self.quaternions is not None:
-            object.__setattr__(self, "quaternions", q / sizes[:, None])
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def __repr__(self) -> str:
-        what = "positions" if self.quaternions is None else "poses"
-        return f"<PoseTrajectory {self.name!r}: {len(self)} {what} from {span(self.times[0], self.times[-1])}>"
-
-    def at_rows(self, rows: Sequence[int] | np.ndarray) -> PoseTrajectory:
+    def at(self, rows: np.ndarray) -> Poses:
         """The poses of these rows."""
-        quaternions = None if self.quaternions is None else self.quaternions[rows]
-        return replace(self, times=self.times[rows], positions=self.positions[rows], quaternions=quaternions)
-
-    def to_polars(self, tag: str = "") -> pl.DataFrame:
-        """A table t_s, tag, x_m, y_m, z_m and, of poses, qw, qx, qy, qz: the columns of a truth table."""
-        columns: dict[str, Any] = {"t_s": self.times, "tag": [tag] * len(self)}
-        columns |= dict(zip(AXES, self.positions.T, strict=True))
-        columns |= {} if self.quaternions is None else dict(zip(QUATERNION, self.quaternions.T, strict=True))
-        return pl.DataFrame(columns).with_columns(pl.col(AXES).fill_nan(None))
+        return Poses(self.times[rows], self.positions[rows], None if self.attitudes is None else self.attitudes[rows])
 
 
 def usable_rows(table: pl.DataFrame) -> pl.DataFrame:
@@ -94,21 +51,21 @@ def usable_rows(table: pl.DataFrame) -> pl.DataFrame:
     return table.filter(usable).sort("t_s", maintain_order=True)
 
 
-def trajectory_of_table(table: pl.DataFrame, name: str) -> PoseTrajectory:
-    """The usable rows of a table of one tag, with attitudes where all have one; raises UnusableInput without any."""
+def poses_of(table: pl.DataFrame, name: str) -> Poses:
+    """The usable poses of a table of one tag, with attitudes where all rows have one; raises UnusableInput for none."""
     rows = usable_rows(table)
-    attitude = _stacked(rows, QUATERNION)
-    given = attitude if np.isfinite(attitude).all() and len(attitude) else None
-    return PoseTrajectory(float_column(rows, "t_s"), _stacked(rows, AXES), given, name)
+    if rows.is_empty():
+        raise UnusableInput(f"{name}: no pose; expected rows with t_s, x_m, y_m and, where known, z_m, qw … qz")
+    q = stacked(rows, QUATERNION)
+    given = np.isfinite(q).all() and q.any(axis=1).all()
+    return Poses(
+        float_column(rows, "t_s"), stacked(rows, AXES), Rotation.from_quat(q, scalar_first=True) if given else None
+    )
 
 
-def _stacked(table: pl.DataFrame, names: Sequence[str]) -> np.ndarray:
+def stacked(table: pl.DataFrame, names: Sequence[str]) -> np.ndarray:
+    """Columns as an array (n, m), NaN where a value or a column is missing."""
     return np.stack([float_column(table, name) for name in names], axis=1)
-
-
-def quaternions_of(matrices: np.ndarray) -> np.ndarray:
-    """The unit quaternions (n, 4) w, x, y, z, w not negative, of rotation matrices (n, 3, 3)."""
-    return np.asarray(Rotation.from_matrix(matrices).as_quat(canonical=True, scalar_first=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,117 +85,116 @@ class Similarity:
             return moved
         return self.scale * positions @ self.rotation.T + self.translation
 
-    def attitudes(self, quaternions: np.ndarray) -> np.ndarray:
-        """The images of quaternions (n, 4), those that are NaN as they are."""
-        turned, known = quaternions.copy(), np.isfinite(quaternions).all(axis=1)
-        turned[known] = quaternions_of(self.rotation @ rotation_matrices(quaternions[known]))
-        return turned
-
-    def trajectory(self, poses: PoseTrajectory) -> PoseTrajectory:
-        """The image of a trajectory; attitudes are turned with it."""
-        turned = None if poses.quaternions is None else self.attitudes(poses.quaternions)
-        return replace(poses, positions=self.points(poses.positions), quaternions=turned)
-
     def table(self, tracks: pl.DataFrame) -> pl.DataFrame:
-        """The image of a table of estimates: positions, attitudes, velocities and covariances, where it has them."""
-        velocities, columns = replace(self, translation=np.zeros(3)).points, dict[str, np.ndarray]()
-        for names, moved in ((AXES, self.points), (_VELOCITY, velocities), (QUATERNION, self.attitudes)):
-            columns |= dict(zip(names, moved(_stacked(tracks, names)).T, strict=True))
+        """The image of a table: positions, attitudes, velocities and covariances, where it has them."""
+        q = stacked(tracks, QUATERNION)
+        known = np.isfinite(q).all(axis=1)
+        turned = Rotation.from_matrix(self.rotation) * Rotation.from_quat(q[known], scalar_first=True)
+        q[known] = turned.as_quat(canonical=True, scalar_first=True)
+        velocities = replace(self, translation=np.zeros(3)).points(stacked(tracks, _VELOCITY))
+        columns = dict(zip(AXES, self.points(stacked(tracks, AXES)).T, strict=True))
+        columns |= dict(zip((*_VELOCITY, *QUATERNION), (*velocities.T, *q.T), strict=True))
         if _STDS[0] in tracks.columns:
-            P, factor = covariances(tracks), self.scale * self.rotation
-            k = 2 if self.flat else 3
-            if self.flat:
-                # An unknown variance of the height, which is left alone, must not reach the other axes.
-                P[:, :2, 2] = P[:, 2, :2] = P[:, :2, 2] @ factor[:2, :2].T
-            P[:, :k, :k] = factor[:k, :k] @ P[:, :k, :k] @ factor[:k, :k].T
-            columns |= {name: np.sqrt(P[:, k, k]) for k, name in enumerate(_STDS)}
+            # An unknown variance of a height that is left alone must not reach the other axes.
+            P, F, k = covariances(tracks), self.scale * self.rotation, 2 if self.flat else 3
+            P[:, :k, k:] = F[:k, :k] @ P[:, :k, k:]
+            P[:, k:, :k] = P[:, :k, k:].transpose(0, 2, 1)
+            P[:, :k, :k] = F[:k, :k] @ P[:, :k, :k] @ F[:k, :k].T
+            columns |= {name: np.sqrt(P[:, i, i]) for i, name in enumerate(_STDS)}
             columns |= {f"cov_{'xyz'[i]}{'xyz'[j]}_m2": P[:, i, j] for i, j in ((0, 1), (0, 2), (1, 2))}
         kept = {name: values for name, values in columns.items() if name in tracks.columns}
         return tracks.with_columns(pl.Series(name, values).fill_nan(None) for name, values in kept.items())
 
 
-def read_trajectory(path: Path | str, kind: Kind | None = None) -> PoseTrajectory:
-    """The poses in a TUM, KITTI or EuRoC file, by its name or first lines, sorted by time; # begins a comment.
+def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
+    """The poses in a TUM file, sorted by time, in the columns of a truth, and notices; # begins a comment.
 
-    KITTI poses have no times: their rows are counted as seconds. A file whose attitudes are all the identity has none.
-    Raises UnusableInput with file and line.
+    A file whose attitudes are all the identity has none. Raises UnusableInput with file and line.
     """
-    path, notices = Path(path), list[str]()
-    ending = path.suffix.lower().removeprefix(".")
-    begin = "" if kind or ending in _FORMS else beginning_of(path)
-    alike = [k for k in _FORMS if k == ending or re.search(FORMATS[k].begins, begin, re.MULTILINE)]
-    if not (kind or alike):
-        forms = "; or ".join(words for *_, words in _FORMS.values())
-        raise UnusableInput(f"{path}: no trajectory; expected lines of {forms}; or a table by `trackwright import`")
-    known = kind or alike[0]
-    wanted, separator, words = _FORMS[known]
-    file, _ = read_rows(path, Reading(separator=separator, header="none"))
+    file, _ = read_rows(Path(path), Reading(separator=" ", header="none"))
     counts = file.frame.select(pl.sum_horizontal(pl.all().str.strip_chars().fill_null("") != "")).to_series()
-    if (wrong := counts < wanted if known == "euroc" else counts != wanted).any():
-        where = file.location(first_row(wrong), f"column{counts[first_row(wrong)]}, the last")
-        raise UnusableInput(f"{where}; expected {words}")
-    numbers = np.stack([numbers_of(file, name).to_numpy() for name in file.frame.columns[:wanted]], axis=1)
-    if not (finite := np.isfinite(numbers)).all():
-        row, column = np.argwhere(~finite)[0].tolist()
-        raise UnusableInput(f"{file.location(row, f'column{column + 1}')}: not finite; expected {words}")
-    if known == "kitti":
-        matrices, stamps = numbers.reshape(-1, 3, 4), np.arange(len(numbers), dtype=float)
-        turns, positions = matrices[:, :, :3], matrices[:, :, 3]
-        error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-        if (turned := (error > 1e-3) | (np.linalg.det(turns) < 0)).any():
-            raise UnusableInput(f"{file.location(int(turned.argmax()), 'column1')}: no rotation; expected {words}")
-        quaternions = quaternions_of(turns)
-        notices.append("KITTI poses have no times; the rows are counted as seconds; a TUM file or a table has times")
-    else:
-        stamps, positions = numbers[:, 0] / (1e9 if known == "euroc" else 1.0), numbers[:, 1:4]
-        quaternions = np.roll(numbers[:, 4:8], 1, axis=1) if known == "tum" else numbers[:, 4:8]
-    stamps, wraps = unwrapped_times(stamps)
-    refuse_lost_digits(f"{path}", pl.DataFrame({"t_s": stamps, **dict(zip(AXES, positions.T, strict=True))}))
-    if (at := restarted_at(stamps)) is not None:
-        found = f"pose {at + 1}: {stamps[at]:.3f} s after {stamps[:at].max():.3f} s: the clock went back"
+    if (counts != len(TUM)).any():
+        row = first_row(counts != len(TUM))
+        raise UnusableInput(f"{file.location(row, f'column{counts[row]}')}, the last; expected {_TUM_WORDS}")
+    table = pl.DataFrame({name: numbers_of(file, f"column{k}") for k, name in enumerate(TUM, 1)})
+    for name, values in zip(TUM, table, strict=True):
+        if not (known := values.is_finite().fill_null(False)).all():
+            row, column = first_row(~known), f"column{TUM.index(name) + 1}"
+            raise UnusableInput(f"{file.location(row, column)}: not finite; expected {_TUM_WORDS}")
+    if (zero := table.select(pl.all_horizontal(pl.col(QUATERNION) == 0)).to_series()).any():
+        raise UnusableInput(f"{file.location(first_row(zero), 'column5')}: a zero quaternion; leave the pose out")
+    times, notices = unwrapped_times(table["t_s"].to_numpy())
+    refuse_lost_digits(f"{path}", table := table.with_columns(t_s=times))
+    if (at := restarted_at(times)) is not None:
+        found = f"pose {at + 1}: {times[at]:.3f} s after {times[:at].max():.3f} s: the clock went back"
         raise UnusableInput(f"{path}: {found}; expected times that increase; make the poses before and after two files")
-    steps, order = np.diff(stamps), np.argsort(stamps, kind="stable")
-    if (steps < 0).any():
+    if (steps := np.diff(times)).min(initial=0) < 0:
         back = f"{int((steps < 0).sum())}, by {-float(steps.min()):.6g} s at most"
-        wraps.append(f"rows earlier than the previous row: {back}; sorted")
-    if still := bool((quaternions == _IDENTITY).all()):
-        wraps.append("every quaternion is the identity; read as positions without attitude")
-    attitude = None if still else quaternions[order]
-    return PoseTrajectory(stamps[order], positions[order], attitude, path.name, (*notices, *wraps))
+        notices.append(f"rows earlier than the previous row: {back}; sorted")
+    if (table["qw"] == 1).all() and not table.select(QUATERNION[1:]).to_numpy().any():
+        notices.append("every quaternion is the identity; read as positions without attitude")
+        table = table.drop(QUATERNION)
+    return table.sort("t_s", maintain_order=True), notices
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:
-    """The poses of a file as the table of each mapping; raises UnusableInput with file and line."""
-    source, poses = Source(), read_trajectory(path, name)  # type: ignore[arg-type]
+    """The poses of a TUM file as the table of each mapping; raises UnusableInput with file and line."""
+    source, (poses, notices) = Source(), read_trajectory(path)
     for mapping in asked.mappings:
         if mapping.table not in ("truth", "fixes"):
             raise UnusableInput(f"{path}: poses are a table truth or fixes, not {mapping.table}; give --table truth")
-        source.notices += [f"{mapping.table}: {line}" for line in poses.notices]
-        source.read(TableFile(path, poses.to_polars().drop("tag")), mapping)
+        source.notices += [f"{mapping.table}: {line}" for line in notices]
+        source.read(TableFile(path, poses), mapping)
     return source
 
 
-def write_trajectory(trajectory: PoseTrajectory, path: Path | str, kind: Literal["tum", "kitti"] | None = None) -> Path:
-    """Writes the poses with all digits in a format, by default the ending of the name, and returns the path.
+def write_trajectory(table: pl.DataFrame, path: Path | str) -> Path:
+    """Writes the usable poses of one tag as TUM with all digits, and returns the path.
 
-    KITTI has times in a second file. An unknown height is written as 0, an unknown attitude as the identity. Raises
-    UnusableInput for another format.
+    An unknown height is written as 0; an unknown attitude is that of a level body by its heading, or the identity.
     """
-    path = Path(path)
-    kind = kind or path.suffix.lower().removeprefix(".")  # type: ignore[assignment]
-    given, positions = trajectory.quaternions, np.nan_to_num(trajectory.positions)
-    q = np.tile(_IDENTITY, (len(trajectory), 1)) if given is None else given
-    if kind not in ("tum", "kitti"):
-        raise UnusableInput(f"{path}: the format is not clear from the name; expected tum or kitti")
-    rows = np.column_stack([trajectory.times, positions, np.roll(q, -1, axis=1)])
-    if kind == "kitti":
-        stamps = "".join(f"{time!r}\n" for time in trajectory.times.tolist())
-        atomic_write(written_files(path, kind)[1], lambda target: target.write_text(stamps, encoding="utf-8"))
-        rows = np.concatenate([rotation_matrices(q), positions[:, :, None]], axis=2).reshape(-1, 12)
-    text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
-    return atomic_write(path, lambda target: target.write_text(text, encoding="utf-8"))
+    rows = usable_rows(table)
+    numbers, half = np.nan_to_num(stacked(rows, TUM)), np.nan_to_num(float_column(rows, HEADING)) / 2
+    level = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=1)
+    numbers[:, 4:] = np.where(numbers[:, 4:].any(axis=1, keepdims=True), numbers[:, 4:], level)
+    return write_whole(Path(path), "".join(" ".join(map(repr, row)) + "\n" for row in numbers.tolist()))
 
 
-def written_files(path: Path, kind: str) -> list[Path]:
-    """The files that `write_trajectory` writes: the path, and for KITTI poses the file of their times."""
-    return [path, path.with_suffix(".times.txt")] if kind == "kitti" else [path]
+def export_tracks(
+    run: Path, format: Literal["tum", "csv"], out: Path, tag: str | None = None, force: bool = False
+) -> Iterator[str]:
+    """Exports the tracks in a folder of `track`, or the truth of a recording; a line for each file.
+
+    `tum`: a file for each track, of one track `out`. `force`: replace a file that exists. Raises UnusableInput.
+    """
+    if not (run / RIG_FILE).is_file():
+        table = read_tracks(run)
+    elif "truth" in (recording := read_recording(run)).tables:
+        table = recording.tables["truth"].with_columns(recording=pl.lit(recording.name))
+    else:
+        raise UnusableInput(f"{run}: has no truth table; expected a folder of `track`, or a recording with truth")
+    if tag is not None:
+        tags = sorted(table["tag"].cast(pl.String).unique())
+        table = table.filter(pl.col("tag").cast(pl.String) == tag)
+        if table.is_empty():
+            raise UnusableInput(f"--tag {tag}: no row of it; found {listed(tags)}")
+    if format == "tum" and is_bearing(table):
+        raise UnusableInput("the tracks hold bearings, no positions; --format csv writes them")
+    tracks = {out: table}
+    if format == "tum":
+        usable = usable_rows(table).partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
+        names = (re.sub(r"[^\w.-]", "_", f"{recording}-{tag}")[:100] for recording, tag in usable)
+        files = [out] if len(usable) == 1 and out.suffix else [out / f"{name}.tum" for name in names]
+        tracks = dict(zip(files, usable.values(), strict=True))
+    if not tracks:
+        raise UnusableInput("no track holds an estimate; run `trackwright check` on the recording")
+    if out.is_dir() and any(out.iterdir()):
+        raise UnusableInput(f"--out {out}: is a folder with content; expected a new file or an empty folder")
+    if not force and (old := next((path for path in (out, *tracks) if path.is_file()), None)):
+        raise UnusableInput(f"--out {old}: exists; expected a new file; --force replaces it")
+    for path, rows in tracks.items():
+        if format == "csv":
+            write_whole(path, rows.write_csv())
+        else:
+            write_trajectory(rows, path)
+        yield f"wrote {path}: {counted(len(rows), 'pose' if format == 'tum' else 'row')}"

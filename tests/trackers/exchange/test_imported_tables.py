@@ -11,11 +11,11 @@ import pytest
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.exchange.estimates import read_estimates
 from trackwright.trackers.exchange.expressions import columns_of
 from trackwright.trackers.exchange.formats import format_of
 from trackwright.trackers.exchange.imported import import_frames, read_source
 from trackwright.trackers.exchange.mapping import ORIGIN, Asked, TableMapping, read_mapping
+from trackwright.trackers.exchange.pose_errors import read_estimates
 from trackwright.trackers.recordings.kinds import layout
 
 RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7": np.array([0.0, 4, 2])})
@@ -294,14 +294,12 @@ def _when(unit):
          r"column s: 40 poses of tag T, 5 times: the stamps have lost their digits.*t_s=secs\+nsecs\*1e-9"),
         ("a.tum", "".join(f"1604644894.0 {k} 0 0 0 0 0 1\n" for k in range(9)), TRUTH, "9 poses, one time: the stamps have lost"),
         ("a.tum", f"{POSE}1 0 0 0 0 0 0\n", TRUTH, r"line 2\), column column7, the last; expected 8 numbers"),
-        ("a.euroc", "1 2 3 4 5 6 7 8\n", TRUTH, r"line 1\), column column1, the last; expected .*separated by commas"),
         ("a.tum", f"# x\n{POSE}1 0 zero 0 0 0 0 1\n", TRUTH, r"line 3\), column column3: 'zero'"),
         ("a.tum", f"{POSE}1 nan 0 0 0 0 0 1\n", TRUTH, r"line 2\), column column2: not finite"),
-        ("a.tum", "0 0 0 0 0 0 0 0\n", TRUTH, "pose 1 is unusable; expected .*no zero quaternion"),
+        ("a.tum", "0 0 0 0 0 0 0 0\n", TRUTH, "line 1.*a zero quaternion"),
         ("a.tum", "\n# nothing\n", TRUTH, "has no rows"),
         ("a.tum", "\n".join(f"{t} {t} 0 0 0 0 0 1" for t in (*range(20), *np.arange(0.25, 19))), TRUTH,
          r"pose 21: 0\.250 s after 19\.000 s: the clock went back"),
-        ("a.kitti", "2 0 0 0 0 2 0 0 0 0 2 0\n", TRUTH, r"line 1\).*no rotation"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_refused_with_its_place_and_the_usual_fix(tmp_path, name, text, options, words):

@@ -11,9 +11,11 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import assert_refused_last, trackwright
-from trackwright.trackers.exchange.trajectories import PoseTrajectory, Similarity, trajectory_of_table, write_trajectory
+from trackwright.trackers.evaluation.rows import AXES
+from trackwright.trackers.exchange.trajectories import Similarity, write_trajectory
 from trackwright.trackers.exchange.truth_frame import leaning
 from trackwright.trackers.recordings.folder import read_recording, write_recording
+from trackwright.trackers.recordings.kinds import QUATERNION
 
 RIG = 'format = 1\nname = "hall 3"\n[anchors]\nA1 = [0.0, 0.0, 2.0]\nA2 = [6.0, 0.0, 2.5]\n0x0F = [0.0, 5.0, 2.2]\n'
 WIDE = ("t_s=t", "range_m[A1]=d1", "range_m[A2]=d2")
@@ -154,8 +156,8 @@ def foreign(tmp_path, monkeypatch):
     folder = tw.simulate.ranges(n=1, rows=300, seed=4).folder()
     truth = folder.tables["truth"]
     places = (truth.select("x_m", "y_m", "z_m").to_numpy() - [100.0, -50.0, 2.0]) @ _turn(-37.0)
-    own = PoseTrajectory(truth["t_s"].to_numpy() - 0.35, places)
-    write_trajectory(own, tmp_path / "mocap.tum")
+    own = truth.with_columns(pl.col("t_s") - 0.35, *(pl.Series(a, x) for a, x in zip(AXES, places.T, strict=True)))
+    write_trajectory(own.drop(QUATERNION, strict=False), tmp_path / "mocap.tum")
     write_recording(replace(folder, tables={"ranges": folder.tables["ranges"]}), tmp_path / "hall")
     monkeypatch.chdir(tmp_path)
     return truth
@@ -198,7 +200,7 @@ def test_a_truth_that_leans_is_levelled_by_the_gravity_that_an_imu_measures(tmp_
     np.testing.assert_allclose(turn.rotation @ turn.rotation.T, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(turn.rotation @ tilt[:, 2], [0.0, 0.0, 1.0], atol=0.04)
     write_recording(replace(folder, tables={k: v for k, v in folder.tables.items() if k != "truth"}), Path("hall"))
-    write_trajectory(trajectory_of_table(lean.table(truth), "mocap"), "mocap.tum")
+    write_trajectory(lean.table(truth), "mocap.tum")
     said = trackwright(*TRUTH, "--align-truth")
     assert "levelled, which leaned by 16°" in said.err
     moved = read_recording("hall").tables["truth"]
@@ -207,7 +209,7 @@ def test_a_truth_that_leans_is_levelled_by_the_gravity_that_an_imu_measures(tmp_
 
 def test_the_truth_of_another_walk_fits_no_readings(foreign):
     truth = tw.simulate.ranges(n=1, rows=300, seed=9).folder().tables["truth"]
-    write_trajectory(trajectory_of_table(truth, "other"), "mocap.tum")
+    write_trajectory(truth, "mocap.tum")
     assert_refused_last(
         trackwright(*TRUTH, "--align-truth"), "no turn about z, shift and difference of clocks up to 10 s"
     )

@@ -136,15 +136,3 @@ def test_a_broken_bag_is_refused_wherever_it_is_broken(bags, tmp_path, name):
             assert said.err.splitlines()[-1].startswith("trackwright: ")
             assert not (tmp_path / f"out-{at}").exists()
     assert refused >= 10
-
-
-def test_what_we_export_as_a_bag_is_imported_again(tmp_path):
-    columns = {"recording": "r", "tag": "T", "t_s": [0.0, 0.1, 0.2], "x_m": [1.0, 2.0, 3.0], "y_m": 0.0, "z_m": 0.5}
-    pl.DataFrame(columns).write_parquet(tmp_path / "tracks.parquet")
-    assert trackwright("export", tmp_path, "--format", "ros2", "--out", tmp_path / "bag").code == 0
-    said = trackwright(
-        "import", tmp_path / "bag", "--table", "fixes", "--topic", "/r/T", "--tag", "T", "--out", tmp_path / "back"
-    )
-    assert said.code == 0, said.err
-    back = pl.read_parquet(tmp_path / "back" / "fixes.parquet")
-    assert back.select("t_s", "x_m", "z_m").rows() == [(0.0, 1.0, 0.5), (0.1, 2.0, 0.5), (0.2, 3.0, 0.5)]

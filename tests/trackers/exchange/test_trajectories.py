@@ -1,0 +1,204 @@
+"""Pose errors against evo's own on real recordings and against known errors; TUM files; exported tracks."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.in_process import assert_refused, trackwright
+from tests.trackers.exchange.against_evo import evo_errors, evo_modules
+from trackwright.trackers.core.data.consistency import nees
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.rows import AXES, covariances
+from trackwright.trackers.exchange.pose_errors import associate, compare_trajectories
+from trackwright.trackers.exchange.trajectories import Similarity, read_trajectory, write_trajectory
+from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.recordings.kinds import QUATERNION
+
+RECORDINGS = ("tiers-1tag-01", "tiers-2tag-03", "iasl-drone-1", "starloc-fast-s1", "rcv-drone-3")
+STEPS = ("1m", "10f")
+CASES = (("none", 0.01, 0.0, False), ("se3", 0.01, 0.0, False), ("sim3", 0.02, -0.3, False), ("scale", 0.01, 0.0, True),
+         ("origin", 0.02, -0.3, False))  # fmt: skip
+
+
+def _table(times, places, attitude=None):
+    """A table of poses."""
+    columns = {"t_s": times} | dict(zip(AXES, np.transpose(places), strict=True))
+    if attitude is not None:
+        columns |= dict(zip(QUATERNION, attitude.as_quat(scalar_first=True).T, strict=True))
+    return pl.DataFrame(columns)
+
+
+def _of_recording(folder):
+    """An estimate and the truth of the first tag: the maker's fixes, or the truth with drift, noise and a turned frame."""
+    recording = read_recording(folder)
+    truth = recording.tables["truth"].filter(tag=recording.tables["truth"]["tag"][0])
+    if "fixes" in recording.tables:
+        return recording.tables["fixes"].filter(tag=truth["tag"][0])[::2], truth.drop(QUATERNION, strict=False)
+    rng, rows = np.random.default_rng(5), truth[::6]
+    drift = np.cumsum(rng.normal(0, 0.003, (len(rows), 3)), axis=0)
+    turn = Rotation.from_euler("zyx", (40.0, 5.0, -3.0), degrees=True)
+    truth = truth if "qw" in truth.columns else truth.with_columns(qw=1.0, qx=1e-9, qy=0.0, qz=0.0)
+    given = Rotation.from_quat(truth.select(QUATERNION).to_numpy()[::6], scalar_first=True)
+    attitude = turn * given * Rotation.from_rotvec(rng.normal(0, 0.03, (len(rows), 3)))
+    times = np.sort(rows["t_s"].to_numpy() + rng.uniform(-0.004, 0.004, len(rows)))
+    return _table(times, 1.07 * turn.apply(rows.select(AXES).to_numpy() + drift) + (3.0, -2.0, 0.4), attitude), truth
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_pose_errors_equal_those_of_evo_on_real_recordings(recordings, tmp_path, name):
+    for table, file in zip(_of_recording(recordings / name), ("own.tum", "true.tum"), strict=True):
+        write_trajectory(table, tmp_path / file)
+    own, true = (read_trajectory(tmp_path / file)[0] for file in ("own.tum", "true.tum"))
+    attitudes, compared = "qw" in own.columns, 0
+    for align, tolerance, offset, all_pairs in CASES:
+        files = tmp_path / "own.tum", tmp_path / "true.tum"
+        expected, poses = evo_errors(*files, align, tolerance, offset, STEPS, all_pairs)
+        found = compare_trajectories(own, true, align, offset, tolerance, STEPS, all_pairs)
+        assert found.pairs == poses
+        ours = {"ape": found.ape_m}
+        if attitudes:
+            ours |= {"ape rad": found.ape_rad} | {f"rpe {step} rad": found.rpe_rad[step] for step in STEPS}
+        # Without attitudes evo compares the displacements of a turned track in its own frame, we in that of the truth.
+        if attitudes or align not in ("se3", "sim3"):
+            ours |= {f"rpe {step}": found.rpe_m[step] for step in STEPS}
+        for error, values in ours.items():
+            # evo's angles are arc cosines, which lose half of the digits near zero.
+            exact = 1e-7 if error.endswith("rad") else 1e-9
+            for statistic, value in expected[error].items():
+                assert values[statistic] == pytest.approx(value, abs=exact, rel=exact), (align, error, statistic)
+                compared += 1
+    assert compared >= 60
+
+
+TIMES = np.arange(400) * 0.05
+SPIRAL = _table(
+    TIMES, np.stack([3 * np.cos(0.7 * TIMES), 2 * np.sin(0.9 * TIMES), 0.3 * np.sin(0.4 * TIMES) + 1], axis=1)
+)
+
+
+@pytest.mark.parametrize(("align", "scale"), [("se2", 1.0), ("se3", 1.0), ("sim3", 1.3)])
+def test_a_turned_and_shifted_trajectory_is_aligned_to_no_error(align, scale):
+    euler, up = ((0.8, 0.0, 0.0), 0.0) if align == "se2" else ((0.8, 0.3, -0.2), 2.0)
+    moved = scale * Rotation.from_euler("zyx", euler).apply(SPIRAL.select(AXES).to_numpy()) + (4.0, -1.0, up)
+    found = compare_trajectories(_table(TIMES, moved), SPIRAL, align)
+    assert found.ape_m["max"] < 1e-9
+    assert found.similarity.scale == pytest.approx(1 / scale)
+    assert found.rpe_m["1s"]["max"] < 1e-9
+
+
+def test_each_estimate_takes_the_nearest_truth_and_without_heights_errors_are_in_the_plane():
+    assert [rows.tolist() for rows in associate(np.array([0.0, 0.004]), np.array([0.0, 1.0]))] == [[0, 1], [0, 0]]
+    flat = SPIRAL.with_columns(pl.col("x_m") + 0.3, pl.col("y_m") + 0.4, z_m=None)
+    found = compare_trajectories(flat, SPIRAL)
+    assert found.planar
+    assert found.ape_m["rmse"] == pytest.approx(0.5)
+
+
+LINE = _table(TIMES[:5], np.outer(np.arange(5), [1.0, 0, 0]))
+STILL = "do not move with the truth.*use --align none, or origin"
+
+
+@pytest.mark.parametrize(
+    ("own", "options", "words"),
+    [
+        (SPIRAL.with_columns(pl.col("t_s") + 99.0), {}, "no pose lies within 0.01 s.*with -99 both begin together"),
+        (LINE, {"align": "se3"}, "on a line"),
+        (SPIRAL, {"align": "twist"}, "expected one of"),
+        (SPIRAL.drop("z_m"), {"align": "se3"}, "has no height"),
+        (SPIRAL.clear(), {}, "own: no pose"),
+        (SPIRAL, {"rpe": ("3",)}, "such as 1m"),
+        (SPIRAL, {"tolerance": -1.0}, "zero or more"),
+        *((SPIRAL, {"align": align, "rest": True}, STILL) for align in ("se2", "se3", "sim3", "scale")),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(own, options, words):
+    truth, rng = SPIRAL, np.random.default_rng(3)
+    if options.pop("rest", False):
+        # A tag at rest whose truth shakes by a millimetre.
+        places = [3.0, 2.0, 1.0] + 1e-3 * rng.normal(size=(400, 3))
+        own, truth = (_table(TIMES, places + noise * rng.normal(size=(400, 3))) for noise in (0.05, 0.0))
+        assert compare_trajectories(own, truth, "origin").pairs == 400
+    with pytest.raises(UnusableInput, match=words):
+        compare_trajectories(own, truth, **options, name="own")
+
+
+def test_a_turn_about_the_vertical_turns_every_covariance():
+    """Against the map of three dimensions, and by the NEES of draws from the covariance itself."""
+    rng, rows = np.random.default_rng(5), 4000
+    root = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [0.15, -0.1, 0.25]])
+    error, cov = rng.normal(size=(rows, 3)) @ root.T, root @ root.T
+    names = {(0, 1): "cov_xy_m2", (0, 2): "cov_xz_m2", (1, 2): "cov_yz_m2"}
+    table = pl.DataFrame(
+        {f"{a}_m": error[:, k] for k, a in enumerate("xyz")}
+        | {f"std_{a}_m": np.full(rows, np.sqrt(cov[k, k])) for k, a in enumerate("xyz")}
+        | {name: np.full(rows, cov[ij]) for ij, name in names.items()}
+    )
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    flat = Similarity(turn, np.zeros(3), flat=True).table(table)
+    for name in (*names.values(), "std_x_m", "std_y_m", "std_z_m"):
+        np.testing.assert_allclose(flat[name], Similarity(turn, np.zeros(3)).table(table)[name], atol=1e-12)
+    moved = np.stack([flat[f"{a}_m"] for a in "xyz"], axis=1)
+    assert nees(moved, covariances(flat)).mean() / 3 == pytest.approx(1.0, abs=0.05)
+    # A height without a variance leaves the others as they are.
+    unknown = table.with_columns(
+        pl.lit(None, pl.Float64).alias(n) for n in ("z_m", "std_z_m", "cov_xz_m2", "cov_yz_m2")
+    )
+    assert Similarity(turn, np.zeros(3), flat=True).table(unknown)["cov_xy_m2"].equals(flat["cov_xy_m2"])
+
+
+def test_evo_reads_what_we_write_and_we_what_evo_writes(tmp_path):
+    _, _, files = evo_modules()
+    rng = np.random.default_rng(4)
+    attitude, times = Rotation.random(20, rng), np.sort(rng.uniform(1.7e9, 1.7e9 + 9, 20))
+    poses = _table(times, rng.normal(0, 3, (20, 3)), attitude)
+    theirs = files.read_tum_trajectory_file(str(write_trajectory(poses, tmp_path / "mine.tum")))
+    np.testing.assert_array_equal(theirs.positions_xyz, poses.select(AXES))
+    np.testing.assert_array_equal(theirs.timestamps, times)
+    files.write_tum_trajectory_file(str(tmp_path / "evo.txt"), theirs)
+    back, _ = read_trajectory(tmp_path / "evo.txt")
+    np.testing.assert_allclose(back.select("t_s", *AXES), poses.select("t_s", *AXES), rtol=0, atol=1e-6)
+    again = Rotation.from_quat(back.select(QUATERNION).to_numpy(), scalar_first=True)
+    assert (again * attitude.inv()).magnitude().max() < 1e-7
+
+
+def test_rows_out_of_order_are_sorted_with_a_notice(tmp_path):
+    (tmp_path / "a.tum").write_text("# a comment\n2 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    found, notices = read_trajectory(tmp_path / "a.tum")
+    assert found["t_s"].to_list() == [1.0, 2.0]
+    assert "1, by 1 s at most; sorted" in notices[0]
+    assert "without attitude" in notices[1]
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory):
+    """A folder with tracks of two tags, one of which begins without an estimate, as `track` writes them."""
+    folder = tmp_path_factory.mktemp("tracked")
+    rows = [
+        {"recording": "hall 3", "tag": tag, "t_s": 0.1 * k, "x_m": None if k == 0 and tag == "7" else k * 0.2,
+         "y_m": 1.0, "z_m": 0.5, "heading_rad": 0.7 * k - 2, "status": "waiting" if k == 0 and tag == "7" else "ok"}
+        for tag in ("7", "B") for k in range(5)
+    ]  # fmt: skip
+    pl.DataFrame(rows).write_parquet(folder / "tracks.parquet")
+    return folder
+
+
+def test_several_tracks_are_exported_to_a_file_each_with_a_heading_as_the_attitude_of_a_level_body(tracked, tmp_path):
+    assert trackwright("export", tracked, "--format", "tum", "--out", tmp_path / "tum").code == 0
+    assert sorted(path.name for path in (tmp_path / "tum").iterdir()) == ["hall_3-7.tum", "hall_3-B.tum"]
+    assert len((tmp_path / "tum" / "hall_3-7.tum").read_text().splitlines()) == 4
+    x, y, z, w = np.loadtxt(tmp_path / "tum" / "hall_3-B.tum")[:, 4:].T
+    assert not np.any([x, y])
+    np.testing.assert_allclose(np.arctan2(2 * w * z, 1 - 2 * z * z), 0.7 * np.arange(5) - 2, atol=1e-12)
+
+
+def test_the_csv_twin_has_every_column_and_row(tracked, tmp_path):
+    words = "export", tracked, "--format", "csv", "--out", tmp_path / "tracks.csv"
+    (tmp_path / "tracks.csv").write_text("precious")
+    assert_refused(trackwright(*words), "exists; expected a new file; --force replaces it")
+    assert (tmp_path / "tracks.csv").read_text() == "precious"
+    assert trackwright(*words, "--force").code == 0
+    table = pl.read_parquet(tracked / "tracks.parquet")
+    assert pl.read_csv(tmp_path / "tracks.csv", schema_overrides=table.schema).equals(table)
