@@ -38,7 +38,7 @@ def without_intervals(uncertainty: Uncertainty | None, intervals: Mapping[str, I
     if np.isnan(uncertainty.observed).any() and np.isnan(uncertainty.sandwich).any():
         return [
             "no 95 % intervals: of an objective that is not a likelihood they come from the scatter over trajectories "
-            f"and take {MIN_TRAJECTORIES}; found {uncertainty.clusters}; give shorter --piece-rows or --objective nll"
+            f"and take {MIN_TRAJECTORIES}; found {uncertainty.clusters}; give more recordings or --objective nll"
         ]
     return []
 

@@ -1,10 +1,9 @@
-"""The report of a survey: its numbers for JSON, and a page with the anchors over the walks."""
+"""The page of a survey, with the anchors over the walks."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,20 +12,7 @@ from trackwright.experiments.pages.charts.style import BLUE, GREY
 from trackwright.experiments.pages.reports.pages import report_page, typed, write_page
 from trackwright.experiments.text.tables import Section
 from trackwright.trackers.core.wording import counted
-from trackwright.tuning.survey.surveying import DELAY_DETERMINED, Survey
-
-
-def survey_data(survey: Survey) -> dict[str, Any]:
-    """The anchors by id with their numbers, half-widths of 95 % intervals and verdicts; the effect, and the notes."""
-    anchors = {
-        name: {
-            "position_m": survey.positions[k], "half_width_m": survey.half_widths[k, :3], "delay_m": survey.delays[k],
-            "delay_half_width_m": (half := survey.half_widths[k, 3]), "delay_determined": half < DELAY_DETERMINED,
-            "rms_m": survey.rms[k], "ranges": survey.readings[k], "verdict": survey.verdict(name),
-        }
-        for k, name in enumerate(survey.names)
-    }  # fmt: skip
-    return {"anchors": anchors, "effect": survey.effect, "notes": survey.notes}
+from trackwright.tuning.survey.surveying import Survey
 
 
 def write_survey_page(out: Path, survey: Survey, command: Sequence[str]) -> Path:
