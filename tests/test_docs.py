@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -188,7 +189,8 @@ def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_l
     assert done.code == 0, done.err
     assert "path" in Path("out/report.html").read_text("utf-8")
     _as_in_a_new_process()
-    done = trackwright("track", "hall", *OWN, "--out", "kept", "--keep-going", *PLAIN)
+    shutil.copytree("hall", "archive/hall")
+    done = trackwright("track", "archive", *OWN, "--out", "kept", *PLAIN)
     assert done.code == 0, done.err
     tracks = [pl.read_parquet(f"{out}/tracks.parquet").select("t_s", "tag", "x_m", "y_m") for out in ("out", "kept")]
     assert tracks[0].equals(tracks[1])

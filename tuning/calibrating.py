@@ -242,11 +242,6 @@ def _differences(pairs: Mapping[str, Pairs], places: Mapping[str, Point]) -> Dif
     )
 
 
-def by_others(folder: RecordingFolder, folders: Sequence[RecordingFolder]) -> RecordingFolder:
-    """The recording with a calibration of the other `folders`; raises UnusableInput as `calibrate`."""
-    return folder.calibrated(calibrate([other for other in folders if other is not folder]))
-
-
 def by_halves(folder: RecordingFolder) -> list[RecordingFolder]:
     """The halves of a recording with truth, each with a calibration of the other; raises as `calibrate`."""
     first, second = halves(folder)

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, Field
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.input_file import identity, read_model
+from trackwright.trackers.recordings.input_file import read_model
 
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.named_tracker import NamedTracker
@@ -93,18 +93,6 @@ class Tuned(BaseModel):
     def values(self) -> dict[str, np.ndarray]:
         """The values by name or pattern."""
         return {name: tunable.value for name, tunable in self.tunables.items()}
-
-    def other_calibration(self, path: Path, given: Path | None) -> str:
-        """What is wrong where the file at `path` was fitted with a calibration, or without, and another is `given`."""
-        begin = f"{path}: fitted to recordings with"
-        # A file that names no tracker was not written by `tune`.
-        if self.calibration is None and given is not None and self.tracker is not None:
-            return f"{begin}out a calibration, and {given} is given; leave --calibration out, or tune again"
-        own = None if self.calibration is None else self.calibration["fingerprint"]
-        if self.calibration is None or (given is not None and identity(given)["fingerprint"] == own):
-            return ""
-        now = "none is given" if given is None else f"{given} is another"
-        return f"{begin} the calibration {self.calibration['name']} ({own}), and {now}; give it, or tune again"
 
     def of(self, named: NamedTracker, path: Path | None) -> NamedTracker:
         """The tracker with the values; raises UnusableInput, naming the file, where they or their units do not fit."""

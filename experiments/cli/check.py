@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import sys
-import tomllib
 from dataclasses import asdict, replace
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Readings, Recording, Tracker
+from trackwright.experiments.cli.options import File, Name, Recording
 from trackwright.trackers.core.errors import printable
 
 Names = Annotated[str, Parameter(metavar="A1,A2,…")]
 
 
-def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = False) -> int:
+def check(*recordings: Recording, tracker: Name | None = None, json: bool = False) -> int:
     """Check the data: time base, gaps, outliers, ids, units, geometry.
 
     Truth is checked too, if there is any.
@@ -47,7 +46,7 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
     return int(failed)
 
 
-def calibrate_recordings(*recordings: Recording, out: File, force: bool = False, json: bool = False) -> int:
+def calibrate_recordings(*recordings: Recording, out: File, force: bool = False) -> int:
     """Fit systematic errors of stations and anchors against truth.
 
     Writes a file for `--calibration` of other commands, and beside it a page with figures. Recordings to be tracked or
@@ -57,15 +56,18 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
         recordings: recording folders with truth, and bearings, ranges or tdoa; each has the same weight.
         out: the file to write, as calibration.toml; the page and its figures go beside it.
         force: replace a file that exists, and take recordings in spite of the errors that `trackwright check` finds.
-        json: print the content of that file as JSON instead of tables.
     """
     from trackwright.trackers.recordings.archives import require_new
 
     require_new(out, "calibration.toml", force)
-    from trackwright.experiments.cli.console import output_folder, prepared, running
+    from trackwright.experiments.cli.console import notices, output_folder, running
+    from trackwright.trackers.recordings.checks.all_checks import require_sound
+    from trackwright.trackers.recordings.folder import read_recordings
 
-    with running("calibrate", json) as run:
-        folders = prepared(recordings, Readings(), force, calibrated=True)
+    with running("calibrate"):
+        folders = read_recordings(recordings)
+        for folder in folders:
+            notices([*require_sound(folder, force, True), *folder.notices])
         # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
         from trackwright.experiments.pages import calibration as pages
         from trackwright.experiments.text.tables import sections_text
@@ -79,13 +81,12 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
         page = pages.write_calibration_report(out, calibration, report, sys.argv)
         print(sections_text([*report.tables.values()], pages.WIDTH, report.note), end="")
         print(f"wrote {out} and {page.name}")
-        run.put(tomllib.loads(out.read_text("utf-8")))
     return 0
 
 
 def survey(
     *recordings: Recording, out: File, given: Names | None = None, sigma: float = 0.0, frame: Names | None = None,
-    height: float | None = None, force: bool = False, json: bool = False,
+    height: float | None = None, force: bool = False,
 ) -> int:  # fmt: skip
     """Survey anchors: their positions and delays, from walks with ranges, without truth.
 
@@ -99,12 +100,11 @@ def survey(
         frame: without given anchors: origin, x axis, and one to the left of it; default: the first.
         height: of the tags, m; default: as in rig.toml, else estimated.
         force: replace a file that exists, and take ranges in spite of the errors that `trackwright check` finds.
-        json: print positions, delays, intervals and verdicts as JSON instead of a table.
     """
     from trackwright.trackers.recordings.archives import require_new
 
     require_new(out, "rig.toml", force)
-    from trackwright.experiments.cli.console import notices, output_folder, running
+    from trackwright.experiments.cli.console import notices, running
     from trackwright.trackers.recordings.checks.all_checks import require_sound
     from trackwright.trackers.recordings.folder import read_recording, refuse_repeated
 
@@ -115,18 +115,16 @@ def survey(
         unplaced = replace(folder.rig, anchors={})
         notices(require_sound(replace(folder, rig=unplaced, tables={"ranges": folder.tables["ranges"]}), force, True))
     # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
-    from trackwright.experiments.pages.calibration import survey_data, write_survey_page
+    from trackwright.experiments.pages.calibration import write_survey_page
     from trackwright.trackers.recordings.atomic import write_whole
     from trackwright.trackers.recordings.rig_file import rig_text
     from trackwright.tuning.survey.surveying import survey as survey_walks
 
-    with running("survey", json) as run:
-        run.begin("fitting positions and paths")
+    with running("survey") as begin:
+        begin("fitting positions and paths")
         result = survey_walks(folders, given or (), sigma, frame or (), height)
-        output_folder(out.parent)
         notices(result.notes)
         write_whole(out, rig_text(result.rig))
         page = write_survey_page(out, result, sys.argv)
         print(f"{result}\nwrote {out} and {page.name}")
-        run.put(survey_data(result))
     return 0

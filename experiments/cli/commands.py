@@ -7,7 +7,6 @@ given twice the last counts, lists are joined.
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 import textwrap
@@ -26,13 +25,13 @@ if TYPE_CHECKING:
 ABOUT = "Trackers for wireless indoor positioning: how accurate, with which noise levels?"
 
 COMMANDS = {
-    "import": "cli.import_source:import_source",
+    "import": "cli.exchange:import_source",
     "check": "cli.check:check",
     "survey": "cli.check:survey",
     "calibrate": "cli.check:calibrate_recordings",
     "track": "cli.track:track",
     "evaluate": "cli.track:evaluate_tracks",
-    "export": "cli.export:export",
+    "export": "cli.exchange:export",
     "tune": "cli.track:tune",
     "sweep": "cli.track:sweep",
     "trackers": "cli.trackers:trackers",
@@ -47,11 +46,11 @@ SECTIONS = {
     "Input": "tag from to calibration truth held-out table columns mapping topic rig format origin header missing "
     "given",
     "Tracker": "tracker set noise fit smooth lag",
-    "Fit": "objective tune freeze bound prior start over repeats",
-    "Output": "out figures json fail-if check replace path align-truth transform",
-    "Running": "runs seed until shard keep-going resume force",
-    RARE: "average free-height side dimensions weigh starts optimiser steps piece-rows cluster all-pairs "
-    "time-tolerance separator decimal skip encoding thousands messages interval skip-bad-lines",
+    "Fit": "objective tune freeze bound start over align time-offset rpe",
+    "Output": "out figures json fail-if replace align-truth transform",
+    "Running": "runs seed until resume force",
+    RARE: "average free-height side dimensions starts steps prior cluster all-pairs time-tolerance separator decimal "
+    "skip encoding thousands messages interval skip-bad-lines",
 }
 """The options of each section of help; the last section is shown by `--help-all` alone."""
 
@@ -61,7 +60,7 @@ ANY_COMMAND = Parameter(group=Group("With any command", sort_key=9))
 
 
 def application() -> App:
-    """The program with its commands, each imported when it is used; `meta` has the options that go with any of them."""
+    """The program with its commands, each imported when it is used; `meta` has those that go with any."""
     app = new_app("trackwright", ABOUT, _version)
     for name, place in COMMANDS.items():
         app.command(f"trackwright.experiments.{place}", name=name, sort_key=len(app._commands))
@@ -70,18 +69,13 @@ def application() -> App:
     def launch(
         *words: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)],
         quiet: Annotated[bool, ANY_COMMAND, Parameter(alias="-q")] = False,
-        no_cache: Annotated[bool, ANY_COMMAND] = False,
     ) -> Any:
         """Run a command.
 
         Args:
             words: the command and its arguments.
             quiet: neither progress nor notices; results and errors alone.
-            no_cache: neither read nor write compiled programs, which are kept in $TRACKWRIGHT_CACHE, by default your
-                cache directory.
         """
-        if no_cache:
-            os.environ["TRACKWRIGHT_CACHE"] = "off"
         if quiet:
             from trackwright.experiments.text.terminal import ERRORS
 
@@ -90,8 +84,6 @@ def application() -> App:
 
     # Ctrl-C is answered in `main`.
     app.meta.suppress_keyboard_interrupt = False
-
-    app.register_install_completion_command(group=ANY_COMMAND.group)
     return app
 
 
@@ -127,7 +119,7 @@ def _read(kind: Any, tokens: Sequence[Token]) -> Any:
     for value, token in zip(converted if isinstance(converted, tuple) else (converted,), tokens, strict=False):
         whole = type(value) is not int or re.fullmatch(r"[+-]?[0-9_]+", token.value)
         if not whole or (isinstance(value, Path) and not token.value):
-            raise CoercionError(token=token, target_type=int if not whole else Path)
+            raise CoercionError(token=token, target_type=type(value))
     return converted
 
 
@@ -170,14 +162,14 @@ class _Help:
 
 def rows(pairs: Iterable[tuple[str, str]], column: int) -> list[str]:
     """Names and texts in two columns of a terminal; a name that is too long has a line of its own."""
-    lines = []
+    lines, blank = list[str](), " " * column
     for name, text in pairs:
-        first, indent = f"  {name}", " " * column
-        fits = len(first) + 2 <= column
-        lines += [] if fits else [first]
-        begin = f"{first:<{column}}" if fits else indent
-        filled = textwrap.wrap(text, WIDTH, initial_indent=begin, subsequent_indent=indent, break_on_hyphens=False)
-        lines += filled or [first][:fits]
+        first = f"  {name}"
+        if len(first) + 2 > column:
+            lines.append(first)
+            first = ""
+        lines += textwrap.wrap(text, WIDTH, initial_indent=f"{first:<{column}}", subsequent_indent=blank,
+                               break_on_hyphens=False)  # fmt: skip
     return lines
 
 
@@ -187,10 +179,5 @@ def answered(app: App, words: Sequence[str], program: str) -> int:
         code: int | None = app(words)
     except CycloptsError as error:
         error.verbose = False
-        line = str(getattr(error, "exception_message", ""))
-        if not line.startswith("--"):
-            line = f"{error} See `{' '.join((program, *(error.command_chain or ())))} --help`."
-        line = re.sub(r'Command "(.*?)" parameter (\S+) requires an argument', r"\1 needs \2, and its value", line)
-        line = re.sub(r"Unused Tokens: \[(.*)\]", r"found \1 beyond what it takes", line)
-        raise UnusableInput(line) from error
+        raise UnusableInput(f"{error} See `{' '.join((program, *(error.command_chain or ())))} --help`.") from error
     return code or 0

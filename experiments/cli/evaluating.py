@@ -5,14 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
-from trackwright.experiments.cli.console import LEFT_OUT, notices, output_folder, prepared, running
-from trackwright.experiments.cli.options import EvaluateOptions, Readings
+from trackwright.experiments.cli.console import LEFT_OUT, notices, output_folder
+from trackwright.experiments.cli.options import EvaluateOptions
 from trackwright.experiments.text.evaluation_text import archive_text, content, pose_errors_text, to_json, to_text
 from trackwright.experiments.text.tables import sections_text, terminal_width
 from trackwright.experiments.text.terminal import notice
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import (
     Evaluation,
     condition_of,
@@ -21,50 +23,40 @@ from trackwright.trackers.evaluation.evaluate import (
     rows_of,
     violation,
 )
-from trackwright.trackers.recordings.archives import read_archive
-from trackwright.trackers.recordings.atomic import held, json_text, write_whole
-from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, read_archive
+from trackwright.trackers.recordings.atomic import json_text, write_whole
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
 from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, require_sources
 
 COMPARISON = "comparison.html"  # the page that compares runs
 
 
-def evaluate_folder(folder: Path, options: EvaluateOptions) -> int:
-    """Evaluates an output folder of `track`, prints the errors and writes evaluation.json; the exit code."""
-    tracks = options.used.part.of_estimates(read_tracks(folder))
-    folders = prepared(options.truth or require_sources(folder), Readings(), check=False)
-    evaluation = _evaluated(folder, tracks, folders, options)
-    print(to_json(evaluation) if options.json else to_text(evaluation, terminal_width()), end="")
-    return code_of(evaluation, options.fail_if)
+def evaluate_run(folder: Path, options: EvaluateOptions) -> int:
+    """Evaluates an output folder of `track`, or the runs in it, prints the errors and writes evaluation.json.
 
-
-def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
-    """Evaluates the tracks of an archive again, by tracker, and writes each evaluation.json; the exit code."""
-    rows, truths, refused = read_archive(out)
-    several, failed = rows["tracker"].n_unique() > 1, False
-    with held(out), running("evaluate", options.json) as run:
-        for (tracker,), of in rows.group_by("tracker", maintain_order=True):
-            folder = out / str(tracker) if several else out
-            tracks = options.used.part.of_estimates(read_tracks(folder))
-            known = [truths[name] for name in of["recording"] if name in truths]
-            evaluation = _evaluated(folder, tracks, known, options)
-            print(archive_text(evaluation, terminal_width()), end="")
-            run.put({str(tracker): content(evaluation)})
-            failed |= bool(code_of(evaluation, options.fail_if, f"{tracker}: "))
+    Returns the exit code: 1 where `--fail-if` holds, else 3 where recordings of an archive are left out.
+    """
+    if (folder / RECORDINGS).is_dir() and not (folder / RESULTS).is_file():
+        raise UnusableInput(f"{folder}: an archive that was not tracked to its end; run the same `track` again")
+    runs = [folder] if (folder / TRACKS).exists() else sorted(path.parent for path in folder.glob(f"*/{TRACKS}"))
+    archive, failed, found = (folder / RESULTS).is_file() and not options.truth, False, dict[str, Any]()
+    known, refused = read_archive(folder) if archive else (read_recordings(options.truth) if options.truth else [], [])
+    for run in runs or [folder]:
+        tracks = options.used.part.of_estimates(read_tracks(run))
+        truths = known or read_recordings(require_sources(run))
+        if options.fail_if is not None:
+            condition_of(options.fail_if, metric_names(tracks))
+        evaluation = evaluate(tracks, truths)
+        write_whole(run / EVALUATION, to_json(evaluation))
+        found[run.name] = content(evaluation)
+        if not options.json:
+            print((archive_text if archive else to_text)(evaluation, terminal_width()), end="")
+        failed |= bool(code_of(evaluation, options.fail_if, f"{run.name}: " if len(runs) > 1 else ""))
+    if options.json:
+        print(json_text(found if len(runs) > 1 else found.popitem()[1]), end="")
     for line in refused:
         notice(f"not evaluated: {line}")
     return 1 if failed else LEFT_OUT if refused else 0
-
-
-def _evaluated(
-    folder: Path, tracks: pl.DataFrame, truths: Sequence[RecordingFolder], options: EvaluateOptions
-) -> Evaluation:
-    """The metrics of the tracks in a folder, written there; the condition of `--fail-if` is read before."""
-    if options.fail_if is not None:
-        condition_of(options.fail_if, metric_names(tracks))
-    evaluation = evaluate(tracks, truths)
-    write_whole(folder / EVALUATION, to_json(evaluation))
-    return evaluation
 
 
 def code_of(evaluation: Evaluation, fail_if: str | None, whose: str = "") -> int:

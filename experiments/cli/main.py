@@ -15,7 +15,8 @@ from typing import Any, NoReturn
 COLLECT_AFTER = 500_000
 """Allocations between garbage collections: imports and tracing make many lasting objects, 300,000 before a track."""
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # errors of a standard output that takes no more
+BROKEN = {errno.EPIPE: 141, errno.ENOSPC: 2, errno.EDQUOT: 2, errno.EIO: 2}
+"""Exit codes by the error of a standard output that takes no more."""
 
 
 def main() -> None:
@@ -28,11 +29,10 @@ def main() -> None:
         print("trackwright: interrupted; files already written are complete", file=sys.stderr)
         code = 130
     except OSError as error:
-        closed = isinstance(error, BrokenPipeError)
-        if not closed and (error.errno not in FULL or error.filename is not None):
+        if error.errno not in BROKEN or error.filename is not None:
             raise
-        code = 141 if closed else 2
-        if not closed:
+        code = BROKEN[error.errno]
+        if code == 2:
             print(f"trackwright: standard output cannot be written ({error.strerror})", file=sys.stderr)
         # The interpreter would write the rest of the output at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -65,20 +65,7 @@ def _run(words: list[str]) -> int:
         return answered(app.meta, words, "trackwright")
     except UnusableInput as problem:
         print(f"trackwright: {problem}", file=sys.stderr)
-    except Exception:
-        if not _lacks_device():
-            raise
-        asked = os.environ["JAX_PLATFORMS"]
-        print(f"trackwright: JAX_PLATFORMS={asked}: no such device here; leave it unset, or cpu", file=sys.stderr)
     return 2
-
-
-def _lacks_device() -> bool:
-    """Whether JAX_PLATFORMS names a device that is not there: jax fails somewhere, with an error of its own."""
-    try:
-        return bool(os.environ.get("JAX_PLATFORMS")) and "jax" in sys.modules and not sys.modules["jax"].devices()
-    except Exception:
-        return True
 
 
 def run_alone(function: Callable[..., Any], program: str) -> NoReturn:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -45,37 +45,15 @@ Recording = Annotated[Path, Parameter(required=True)]
 File = Annotated[Path, Parameter(metavar="FILE")]
 Seconds = Annotated[float, Parameter(metavar="S", validator=_number(-math.inf, words="seconds"))]
 Pattern = Annotated[str, Parameter(metavar="PATTERN")]
+Name = Annotated[str, Parameter(metavar="NAME")]
 Address = Annotated[str, Parameter(metavar="ADDRESS")]
 Least1 = Annotated[int, Parameter(validator=_number(1))]
 Figures = Literal["none", "page", "png", "pdf"]
-Weigh = Literal["recordings", "rows"]
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 """As `trackers.exchange.pose_errors.Alignment`, which takes longer to import."""
 
-
-def _names_of_trackers(context: Any) -> list[str]:
-    from trackwright.trackers.catalogue import ENTRIES
-
-    return list(ENTRIES)
-
-
-Tracker = Annotated[str, Parameter(metavar="NAME", completer=_names_of_trackers)]
 OPTIONS = Parameter(name="*")  # decorates a dataclass whose fields are options, each explained in its docstring
-
-
-def config(options: Any, *without: str) -> dict[str, Any]:
-    """The options as a manifest holds them, without those that change no result, and these."""
-    flat: dict[str, Any] = {}
-    for one in fields(options):
-        value = getattr(options, one.name)
-        if isinstance(value, Readings):
-            flat |= {"part": asdict(value.part), "calibration": value.calibration, "average": value.average}
-        elif is_dataclass(value):
-            flat |= config(value, *without)
-        elif one.name not in {"out", "figures", "json", *without}:
-            flat[one.name.rstrip("_")] = value
-    return flat
 
 
 @OPTIONS
@@ -136,7 +114,7 @@ class Numbers:
         side: where tags are of anchors in one plane; default: below from 2 m on, above up to 0.5 m, else either.
     """
 
-    tracker: Tracker | None = None
+    tracker: Name | None = None
     set_: tuple[Annotated[str, Parameter(metavar="NAME=VALUE")], ...] = ()
     free_height: bool = False
     side: Literal["above", "below"] | None = None
@@ -192,6 +170,10 @@ class WithNumbers:
             named = self.tuned.of(named, self.file)
         return named.with_values(self.numbers.values, "--set") if self.numbers.values else named
 
+    def settings(self, **without: Any) -> str:
+        """The options as text, for digests of what results depend on; `without`: defaults of those that do not."""
+        return repr(replace(self, out=Path(), **without))
+
 
 @OPTIONS
 @dataclass(frozen=True, kw_only=True)
@@ -205,11 +187,9 @@ class TrackOptions(WithNumbers):
         smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
         lag: smooth with the readings of the next so many seconds only.
         seed: of the random numbers of particle filters.
-        cluster: as --keep-going, on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
+        cluster: track one by one on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
         figures: page, report.html with playback and linked charts; png or pdf, also the charts as files; or none.
         force: track recordings in spite of the errors that `trackwright check` finds.
-        keep_going: track one by one, keep finished ones, leave out those that fail, with exit code 3; always with a
-            folder of folders, more than 60 recordings, or --cluster.
         json: print the error metrics as JSON, by tracker, instead of tables.
     """
 
@@ -221,7 +201,6 @@ class TrackOptions(WithNumbers):
     cluster: Address | None = None
     figures: Figures = "page"
     force: bool = False
-    keep_going: bool = False
     json: bool = False
 
 
@@ -241,18 +220,13 @@ class TuneOptions(WithNumbers):
         start: a tuned.toml to start from; --set goes before it.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too; default: by the truth.
-        weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a coarse grid.
-        optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for particles.
         steps: maximum number of steps per start.
         resume: continue from the checkpoint in --out, with bit-identical results.
-        piece_rows: rows of the segments into which long recordings are cut.
-        check: exit code 1 where the verdict is worse: the log density of true positions of left-out recordings fell.
         figures: page, report.html; png or pdf, also the chart of the objective as a file; or none.
-        json: print the content of tuned.toml as JSON instead of tables.
     """
 
-    objective: Annotated[str, Parameter(metavar="NAME")] | None = None
+    objective: Name | None = None
     tune: tuple[Pattern, ...] | None = None
     freeze: tuple[Pattern, ...] = ()
     bound: tuple[Annotated[str, Parameter(metavar="PATTERN=LOW:HIGH")], ...] = ()
@@ -260,15 +234,10 @@ class TuneOptions(WithNumbers):
     start: File | None = None
     held_out: tuple[Folder, ...] = ()
     dimensions: Literal[2, 3] | None = None
-    weigh: Weigh = "recordings"
     starts: Least1 = 4
-    optimiser: Literal["auto", "lbfgs", "adam"] = "auto"
     steps: Least1 = 60
     resume: bool = False
-    piece_rows: Annotated[int, Parameter(validator=_number(10))] = 8000
-    check: bool = False
     figures: Figures = "page"
-    json: bool = False
 
 
 @OPTIONS
@@ -281,21 +250,13 @@ class SweepOptions(WithNumbers):
         over: a shell pattern of tunables, tied, and their values; once or twice. ':log' makes equal ratios.
         objective: rmse (needs truth), nll, or another objective of `tune`.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
-        weigh: recordings or rows: which of them have the same weight.
-        repeats: runs of a particle filter per value, with different random numbers.
         noise: a tuned.toml for the other parameters.
-        figures: kind of the figure, sweep.png or sweep.pdf.
-        json: print the best point as JSON instead of a line.
     """
 
     over: Annotated[tuple[str, ...], Parameter(metavar="PATTERN=START:STOP:COUNT[:log]...")]
-    objective: Annotated[str, Parameter(metavar="NAME")] = "rmse"
+    objective: Name = "rmse"
     dimensions: Literal[2, 3] = 2
-    weigh: Weigh = "recordings"
-    repeats: Least1 = 10
     noise: File | None = None
-    figures: Literal["png", "pdf"] = "png"
-    json: bool = False
 
     @cached_property
     def grids(self) -> dict[str, np.ndarray]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from trackwright.experiments.cli.commands import new_app
@@ -28,7 +27,6 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
 
     def simulate(out: Any, **given: Any) -> int:
         numbers = {p.name: given.get(p.name, p.default) for p in options[1:]}
-        started = datetime.now(UTC)
         from trackwright.experiments.cli.console import write_manifest
         from trackwright.trackers.core.wording import counted
         from trackwright.trackers.recordings.folder import write_recording
@@ -40,7 +38,7 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
             option = f"--{error.name.replace('_', '-')} {' '.join(map(str, words))}"
             raise UnusableInput(f"{option}: expected {error.expected}") from error
         write_recording(folder, out)
-        write_manifest(out, {k: x for k, x in numbers.items() if k != "seed"}, started, seeds=[numbers["seed"]])
+        write_manifest(out, numbers=numbers, seed=numbers["seed"])
         sizes = ", ".join(f"{name} {counted(len(table), 'row')}" for name, table in folder.tables.items())
         print(f"wrote {out}: {counted(len(folder.rig.tags), 'tag')}, {sizes}")
         return 0

@@ -17,33 +17,36 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
     """Track recordings: estimates, events, error metrics, a page with playback.
 
     Writes tracks.parquet, events.parquet, report.html and manifest.json; prints error metrics where there is
-    truth.
+    truth. With a folder of folders, more than 60 recordings or --cluster each recording is tracked by itself and kept,
+    so that the same command continues, and those that fail are left out, with exit code 3.
 
     Args:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
     """
-    from trackwright.experiments.cli.console import keep_programs, notices, prepared, running
+    from trackwright.experiments.cli.console import keep_programs, prepared, running
     from trackwright.trackers.recordings.archives import archive_of
+    from trackwright.trackers.recordings.atomic import json_text
 
     options.read()
-    if options.noise is not None and options.tuned is not None:
-        notices(filter(None, [options.tuned.other_calibration(options.noise, options.used.calibration)]))
-    with running("track", options.json) as run:
-        run.begin("reading")
-        archive = archive_of(recordings, options.keep_going or options.cluster is not None)
-        if archive is None:
-            refused: list[str] = []
-            folders = prepared(recordings, options.used, options.force, refused=refused)
-        run.begin("preparing")
+    with running("track", options.json) as begin:
+        begin("reading")
+        refused = list[str]()
+        archive = archive_of(recordings, options.cluster is not None)
+        folders = [] if archive else prepared(recordings, options.used, options.force, refused)
+        begin("preparing")
         keep_programs()
         # jax takes a second to import, which a refused recording need not wait for.
-        if archive is not None:
+        if archive:
             from trackwright.experiments.cli.archive import track_archive
 
-            return track_archive(archive, options, run)
-        from trackwright.experiments.cli.tracking import track_together
+            code, found = track_archive(archive, options, begin)
+        else:
+            from trackwright.experiments.cli.tracking import track_together
 
-        return track_together(folders, refused, options, run)
+            code, found = track_together(folders, refused, options, begin)
+    if options.json:
+        print(json_text(found), end="")
+    return code
 
 
 DEFAULTS = EvaluateOptions()
@@ -61,33 +64,20 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
         runs: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
             tag, which --tag names; to compare, two or more folders of `track`, or two or more of `study`.
     """
-    from trackwright.experiments.cli.evaluating import (
-        evaluate_archive,
-        evaluate_folder,
-        evaluate_poses,
-        print_comparison,
-    )  # fmt: skip
-    from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS
+    from trackwright.experiments.cli.evaluating import evaluate_poses, evaluate_run, print_comparison
     from trackwright.trackers.recordings.tracks_table import require_sources
 
-    folder, poses, truth = runs[0], options.poses, options.truth
+    run, poses, truth = runs[0], options.poses, options.truth
     if len(runs) > 1:
         if options != EvaluateOptions(json=options.json, poses=PoseOptions(out=poses.out)):
             raise UnusableInput(f"evaluate: {len(runs)} runs to compare; expected no option but --json and --out")
         print_comparison(runs, poses.out, json=options.json)
         return 0
-    if not folder.exists():
-        raise UnusableInput(f"{folder}: no such file; expected a folder with tracks.parquet, or a file of estimates")
-    if (folder / RECORDINGS).is_dir():
-        if not (folder / RESULTS).is_file():
-            raise UnusableInput(f"{folder}: an archive that was not tracked to its end; run the same `track` again")
-        if poses != PoseOptions() or truth:
-            fix = f"expected no --truth and trajectory options; evaluate one of {folder / RECORDINGS}/*/*"
-            raise UnusableInput(f"{folder}: is an archive; {fix}")
-        return evaluate_archive(folder, options)
-    if folder.is_file() or poses != PoseOptions() or not all(path.is_dir() for path in truth):
-        return evaluate_poses(folder, truth if truth or folder.is_file() else require_sources(folder), options)
-    return evaluate_folder(folder, options)
+    if not run.exists():
+        raise UnusableInput(f"{run}: no such file; expected a folder with tracks.parquet, or a file of estimates")
+    if run.is_file() or poses != PoseOptions() or not all(path.is_dir() for path in truth):
+        return evaluate_poses(run, truth if truth or run.is_file() else require_sources(run), options)
+    return evaluate_run(run, options)
 
 
 def tune(*recordings: Recording, options: TuneOptions) -> int:
@@ -102,16 +92,15 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
     from trackwright.experiments.cli.console import keep_programs, prepared, running
 
     options.read()
-    with running("tune", options.json) as run:
-        run.begin("reading")
-        paths = (*recordings, *options.held_out)
-        folders = prepared(paths, options.used)
-        run.begin("preparing")
+    with running("tune") as begin:
+        begin("reading")
+        folders = prepared((*recordings, *options.held_out), options.used)
+        begin("preparing")
         keep_programs()
         # jax takes a second to import, which a refused recording need not wait for.
         from trackwright.experiments.cli.tuning import tune_folders
 
-        return tune_folders(folders, paths, options, run)
+        return tune_folders(folders, len(recordings), options, begin)
 
 
 def sweep(*recordings: Recording, options: SweepOptions) -> int:
@@ -126,12 +115,11 @@ def sweep(*recordings: Recording, options: SweepOptions) -> int:
 
     options.read()
     _ = options.grids
-    with running("sweep", options.json) as run:
-        run.begin("reading")
-        folders = prepared(recordings, options.used, check=False)
-        run.begin("preparing")
+    with running("sweep") as begin:
+        begin("reading")
+        folders = prepared(recordings, options.used)
+        begin("preparing")
         keep_programs()
         from trackwright.experiments.cli.tuning import sweep_folders
 
-        sweep_folders(folders, options, run)
-    return 0
+        return sweep_folders(folders, options, begin)

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import trackwright as tw
-from trackwright.experiments.cli.console import (
-    LEFT_OUT,
-    Run,
-    notice_unused_calibration,
-    notices,
-    output_folder,
-    write_manifest,
-)  # fmt: skip
-from trackwright.experiments.cli.options import TrackOptions, config, file_format
+from trackwright.experiments.cli.console import LEFT_OUT, notices, write_manifest
+from trackwright.experiments.cli.evaluating import print_comparison
+from trackwright.experiments.cli.options import TrackOptions, file_format
 from trackwright.experiments.pages.reports.pages import typed
 from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
@@ -28,7 +21,6 @@ from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
 from trackwright.trackers.catalogue import several, spec_of, tracked_by
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.cautions import level_caution
@@ -38,7 +30,6 @@ from trackwright.trackers.programs.program_cache import give_back
 from trackwright.trackers.recordings.archives import RESULTS
 from trackwright.trackers.recordings.atomic import Content, write_whole
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text
-from trackwright.trackers.recordings.trajectories import known_height
 
 
 def short(tracker: str) -> str:
@@ -55,166 +46,108 @@ def named_runs(options: TrackOptions) -> list[str]:
     return names
 
 
-def files_of(found: ScoredRun, evaluation: tw.Evaluation) -> dict[str, Content]:
+def files_of(found: ScoredRun) -> dict[str, Content]:
     """The files of a run folder."""
     paths = sources_text(folder.path for folder in found.folders)
-    return {TRACKS: found.tracks.table, EVENTS: found.events, SOURCES: paths, EVALUATION: to_json(evaluation)}
+    return {TRACKS: found.tracks.table, EVENTS: found.events, SOURCES: paths, EVALUATION: to_json(found.evaluation)}
 
 
 def tracked(
-    named: tw.NamedTracker, folders: Sequence[tw.RecordingFolder], options: TrackOptions, begin: Begin
+    name: str, folders: Sequence[tw.RecordingFolder], options: TrackOptions, begin: Begin
 ) -> tuple[ScoredRun, list[str]]:
-    """Runs a tracker on recordings, valued, fitted and smoothed as options ask for; and a line for each fit."""
-    named, fits = options.valued(named), list[str]()
+    """Runs a tracker on recordings, valued, fitted and smoothed as options ask for; and its notices."""
+    numbers, lines = options.numbers, list[str]()
+    named = options.valued(tw.build(name, folders, numbers.free_height, numbers.side))
     parts: list[tuple[tw.NamedTracker, Sequence[tw.RecordingFolder]]] = [(named, folders)]
     if options.fit:
         parts, advance = [], begin("fitting", len(folders))
         for folder in folders:
             own = tw.fitted(named, folder)
             parts.append((own.tracker, [folder]))
-            fits.append(own.line)
+            lines.append(own.line)
             advance(1)
     if options.smooth or options.lag is not None:
         parts = [(one.smoothing(options.lag), of) for one, of in parts]
     give_back()
-    return ScoredRun.of(parts, options.seed, begin), fits
+    found = ScoredRun.of(parts, options.seed, begin)
+    return found, [*lines, *found.notices]
 
 
 def track_together(
-    folders: Sequence[tw.RecordingFolder], refused: Sequence[str], options: TrackOptions, run: Run
-) -> int:
-    """Tracks the recordings, writes all files and prints the metrics; the exit code. Several trackers get a folder
-    each; those that the user named are compared."""
+    folders: Sequence[tw.RecordingFolder], refused: Sequence[str], options: TrackOptions, begin: Begin
+) -> tuple[int, dict[str, Any]]:
+    """Tracks the recordings, writes all files and prints the metrics; the exit code, and the metrics by tracker.
+    Several trackers get a folder each; those that the user named are compared."""
     chosen = options.numbers.tracker is None
     runs, unfit = tracked_by(folders, named_runs(options))
-    for name, of in runs.items() if chosen else ():
-        _notice_choice(name, of, options)
     with suppress(OSError):
         (options.out / RESULTS).unlink(missing_ok=True)  # left by an earlier archive
-    together, pages = 1 if chosen else len(runs), list[dict[str, Any]]()
+    compared, found, pages = len(runs) > 1 and not chosen, dict[str, Any](), list[dict[str, Any]]()
     for name, of in runs.items():
+        if chosen:
+            _notice_choice(name, of)
         out = options.out if len(runs) == 1 else options.out / short(name)
-        pages += _track(name, of, options, out, run, together)
-    if together > 1:
-        run.begin("comparison")
-        from trackwright.experiments.cli.evaluating import print_comparison
+        run, lines = tracked(name, of, options, begin)
+        notices(lines)
+        for file, rows in files_of(run).items():
+            write_whole(out / file, rows)
+        print(f"{f'{short(name)}: ' if len(runs) > 1 else ''}{words_of(run.tracks.summaries)}")
+        evaluation, written = run.evaluation, list[str]()
+        if evaluation.overall["n"] and not compared:
+            print(to_text(evaluation, terminal_width()), end="")
+        scored = ScoredTracks(run.rows, run.folders, run.tracks.batches)
+        if options.figures != "none":
+            begin("report")
+            known = evaluation if evaluation.overall["n"] else None
+            about, several_runs = f"{name}: {run.named.spec.about}", len(runs) if compared else 1
+            pages.append(run_data(scored, run.events, known, about, short(name), several_runs))
+            if not compared:
+                write_track_page(out / PAGE, [pages.pop()], typed(sys.argv))
+                written.append(PAGE)
+        if (kind := file_format(options.figures)) and not compared:
+            # matplotlib takes a third of a second to import.
+            from trackwright.experiments.pages.charts.recording import plot_tracks
 
+            begin("figures")
+            written.append(figures_drawn(plot_tracks(out, scored, kind)))
+        for event, count in run.events.group_by("event", maintain_order=True).len().iter_rows():
+            print(f"event: {event} ({counted(count, 'time')})")
+        conclude(evaluation, name, len(run.rows), options, out, written)
+        found[short(name)] = content(evaluation)
+    if compared:
+        begin("comparison")
         if pages:
-            _write_page(options.out, pages)
+            write_track_page(options.out / PAGE, pages, typed(sys.argv))
             print(f"wrote {options.out / PAGE}")
-        shown = options.figures != "none"
-        print_comparison(
-            [options.out / short(name) for name in runs],
-            options.out,
-            file_format(options.figures),
-            page=shown,
-            playback=PAGE if shown else None,
-        )
+        outs, page = [options.out / name for name in found], PAGE if pages else None
+        print_comparison(outs, options.out, file_format(options.figures), page=page is not None, playback=page)
     for line in (*refused, *unfit):
         notice(f"not tracked: {line}")
-    return LEFT_OUT if refused or unfit else 0
+    return LEFT_OUT if refused or unfit else 0, found
 
 
-def _notice_choice(name: str, folders: Sequence[tw.RecordingFolder], options: TrackOptions) -> None:
+def _notice_choice(name: str, folders: Sequence[tw.RecordingFolder]) -> None:
     """Says which tracker was chosen for recordings, and what it leaves unread."""
-    if options.named is not None:
-        notice(f"tracker: {name}, by {options.noise}; choose another with --tracker")
-        return
     spec = spec_of(name)
     unread = {table for folder in folders for table in folder.tables if table not in spec.reads | {"imu", "truth"}}
     without = f"; without {listed(sorted(unread))}" if unread else ""
     notice(f"tracker: {name} ({spec.about}{without}); choose another with --tracker")
 
 
-def _track(
-    name: str, folders: Sequence[tw.RecordingFolder], options: TrackOptions, out: Path, run: Run, of: int
-) -> list[dict[str, Any]]:
-    """Tracks recordings with one of `of` trackers into the folder `out`; its page, if there is to be one."""
-    named = tw.build(name, folders, options.numbers.free_height, options.numbers.side)
-    notice_unused_calibration(folders, name, named.spec.table)
-    found, fits = tracked(named, folders, options, run.begin)
-    evaluation, endings = found.evaluation, found.tracks.summaries
-    for line in fits:
-        notice(line)
-    flat = [one for batch in found.tracks.batches if batch.planar for one in batch.trajectories]
-    heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
-    if heights and not named.spec.bearing_only:
-        notice(f"height: known from rig.toml for {counted(heights, 'tag')} and used; estimate it with --free-height")
-    notices(found.notices)
-    for file, rows in files_of(found, evaluation).items():
-        write_whole(output_folder(out) / file, rows)
-    whose = "" if out == options.out else f"{short(name)}: "
-    print(f"{whose}{counted(sum(endings.values()), 'track')}: {words_of(endings)}")
-    pages = list[dict[str, Any]]()
-
-    def show() -> list[str]:
-        if options.figures != "none":
-            run.begin("report")
-            pages.append(page_of(found, evaluation, of))
-        drawn = write_shown(scored(found), pages, options, out, run) if of == 1 else []
-        for event, count in found.events.group_by("event", maintain_order=True).len().iter_rows():
-            print(f"event: {event} ({counted(count, 'time')})")
-        return drawn
-
-    about = {"recordings": [str(folder.path) for folder in folders], "verdicts": endings, "fitted": fits}
-    text = partial(to_text, evaluation, terminal_width()) if of == 1 else str
-    end_run(name, evaluation, text, show, len(found.rows), about, options, out, run)
-    return pages
-
-
-def end_run(
-    name: str, evaluation: tw.Evaluation, text: Callable[[], str], show: Callable[[], list[str]], rows: int,
-    about: Mapping[str, Any], options: TrackOptions, out: Path, run: Run,
-) -> None:  # fmt: skip
-    """Prints the metrics of a tracker as `text`, or without truth what innovations show; what `show` draws is written,
-    and the manifest, with what is `about` the run. A notice where noise levels seem wrong."""
-    if evaluation.overall["n"]:
-        print(text(), end="")
-    else:
-        for sentence in evaluation.statements:
-            print(f"Without truth: {uncapitalised(sentence)}")
-    if not options.fit and (wrong := level_caution(evaluation.overall)):
-        notice(f"notice: innovations are {wrong}; --fit fits noise levels to the readings")
-    run.put({short(name): content(evaluation)})
-    drawn = show()
-    used = config(options, "cluster", "force", "keep_going", "set_") | {"tracker": name, "set": options.numbers.values}
-    write_manifest(out, used, run.started, chunk=CHUNK, **about)
-    written = [f"{out / TRACKS} ({counted(rows, 'estimate')})", EVENTS, EVALUATION, "manifest.json", *drawn]
-    print(f"wrote {', '.join(written)}")
-
-
 def words_of(endings: Mapping[str, int]) -> str:
     """How many tracks ended how, the most first."""
-    return "; ".join(f"{n} {words}" for words, n in sorted(endings.items(), key=lambda x: -x[1]))
+    words = "; ".join(f"{n} {words}" for words, n in sorted(endings.items(), key=lambda x: -x[1]))
+    return f"{counted(sum(endings.values()), 'track')}: {words}"
 
 
-def scored(found: ScoredRun) -> ScoredTracks:
-    """The tracks as the page and the figures show them."""
-    return ScoredTracks(found.rows, found.folders, found.tracks.batches)
-
-
-def page_of(found: ScoredRun, evaluation: tw.Evaluation, of: int) -> dict[str, Any]:
-    """The data of the page of one of `of` trackers."""
-    name, known = found.named.name, evaluation if evaluation.overall["n"] else None
-    return run_data(scored(found), found.events, known, f"{name}: {found.named.spec.about}", short(name), of)
-
-
-def write_shown(
-    tracks: ScoredTracks, pages: Sequence[Mapping[str, Any]], options: TrackOptions, out: Path, run: Run
-) -> list[str]:
-    """Writes the page, if any, and the figures that are asked for; in words, what was written."""
-    written = []
-    if pages:
-        _write_page(out, pages)
-        written.append(PAGE)
-    if kind := file_format(options.figures):
-        run.begin("figures")
-        # matplotlib takes a third of a second to import.
-        from trackwright.experiments.pages.charts.recording import plot_tracks
-
-        written.append(figures_drawn(plot_tracks(out, tracks, kind)))
-    return written
-
-
-def _write_page(out: Path, pages: Sequence[Mapping[str, Any]]) -> None:
-    write_track_page(out / PAGE, pages, typed(sys.argv))
+def conclude(
+    evaluation: tw.Evaluation, name: str, rows: int, options: TrackOptions, out: Path, written: Sequence[str] = ()
+) -> None:
+    """Prints what innovations show without truth, notices levels that seem wrong, and writes the manifest."""
+    for sentence in () if evaluation.overall["n"] else evaluation.statements:
+        print(f"Without truth: {uncapitalised(sentence)}")
+    if not options.fit and (wrong := level_caution(evaluation.overall)):
+        notice(f"notice: innovations are {wrong}; --fit fits noise levels to the readings")
+    write_manifest(out, tracker=name, set=options.numbers.values, seed=options.seed)
+    files = f"{out / TRACKS} ({counted(rows, 'estimate')})", EVENTS, EVALUATION, "manifest.json"
+    print(f"wrote {', '.join([*files, *written])}")

@@ -7,6 +7,7 @@ where it runs: a worker computes only with the caller's versions, XLA flags and 
 from __future__ import annotations
 
 import functools
+import hashlib
 import itertools
 import logging
 import os
@@ -17,9 +18,10 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
-from trackwright.experiments.jobs.environment import environment, require_same
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.programs.program_cache import keep
@@ -35,6 +37,45 @@ LEAVE_SIGINT = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
 CONNECT_S = 10  # seconds to wait for a scheduler
 SILENT_S = 60
 """Seconds without a sign of life after which a local worker hangs: it is ended, and its part runs elsewhere."""
+
+PACKAGES, SOURCES = ("trackwright", "jax", "jaxlib", "numpy"), ("trackers", "sim", "tuning", "experiments")
+
+
+def environment() -> dict[str, Any]:
+    """What the bits of a result depend on beside its arguments; the number format is the caller's for each part."""
+    import jax
+
+    flags, processor = os.environ.get("XLA_FLAGS", ""), (jax.devices()[0].device_kind, _vector_instructions())
+    settled = {"sources": _sources(), "XLA flags": flags, "processor": processor}
+    return {name: version(name) for name in PACKAGES} | settled | {"x64": bool(jax.config.jax_enable_x64)}  # type: ignore[attr-defined]
+
+
+@functools.cache
+def _sources() -> str:
+    """A digest of the package's source files: two checkouts of one version may differ."""
+    root, digest = Path(__file__).parents[2], hashlib.sha256()
+    for path in sorted(path for name in SOURCES for path in (root / name).rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _vector_instructions() -> str:
+    """The processor's widest vector instructions: NumPy has other sines and logarithms for others, with other bits."""
+    with suppress(OSError):
+        flags = Path("/proc/cpuinfo").read_text("utf-8").split()
+        return next((name for name in ("avx512f", "avx2", "avx") if name in flags), platform.machine())
+    return platform.machine()
+
+
+def require_same(expected: Mapping[str, Any], actual: Any, worker: str) -> None:
+    """Refuse a worker whose environment differs from the caller's."""
+    if isinstance(actual, BaseException):
+        why = f"{type(actual).__name__}: {actual}"
+        raise UnusableInput(f"{worker}: cannot import trackwright ({why}); install the caller's packages there")
+    for key in expected.keys() - {"x64"}:
+        if actual.get(key) != expected[key]:
+            here = f"expected as here: {expected[key] or 'none'}; the bits would differ"
+            raise UnusableInput(f"{worker}: {key}: {actual.get(key) or 'none'}; {here}; install the caller's packages")
 
 
 class Threads(ThreadPoolExecutor):
@@ -62,7 +103,14 @@ def cluster_executor(cluster: str) -> Iterator[WorkerExecutor]:
     local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
     if not local and not re.fullmatch(r"[a-z]+://\S+", cluster):
         raise UnusableInput(f"--cluster {cluster}: expected local:N, as local:4, or an address, as tcp://HOST:8786")
-    distributed = _distributed()
+    try:
+        import distributed
+    except ImportError as error:
+        fix = "install the extra: pip install trackwright[cluster]"
+        raise UnusableInput(f"--cluster: the package 'distributed' is not installed; {fix}") from error
+    # The deaths and reconnections that Dask reports are handled: their parts run elsewhere.
+    for name in ("distributed", "distributed.client", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     expected = environment()
     try:
         with _client(distributed, cluster, int(local[1]) if local else None) as client:
@@ -78,20 +126,7 @@ def cluster_executor(cluster: str) -> Iterator[WorkerExecutor]:
         raise UnusableInput(f"--cluster {cluster}: the scheduler was lost, or the network to it; {fix}") from error
     except distributed.KilledWorker as error:
         fix = "expected enough memory for one part a worker; see the workers' logs"
-        count = f"{error.allowed_failures + 1} workers"
-        raise UnusableInput(f"--cluster {cluster}: {count} ended while they computed the same part; {fix}") from error
-
-
-def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError as error:
-        fix = "install the extra: pip install trackwright[cluster]"
-        raise UnusableInput(f"--cluster: the package 'distributed' is not installed; {fix}") from error
-    # The deaths and reconnections that Dask reports are handled: their parts run elsewhere.
-    for name in ("distributed", "distributed.client", "tornado.application"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-    return distributed
+        raise UnusableInput(f"--cluster {cluster}: workers ended while they computed the same part; {fix}") from error
 
 
 @contextmanager
@@ -109,12 +144,10 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
     # One thread a process computes one part at a time; memory is limited by the system alone, as it is for threads.
     workers = {"n_workers": processes, "threads_per_worker": 1, "memory_limit": 0, "preload": LEAVE_SIGINT}
     others = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL, "scheduler_kwargs": {"worker_ttl": SILENT_S}}
-    try:
-        local_cluster = distributed.LocalCluster(**workers, **others)
-    except RuntimeError as error:
-        fix = "look at free memory and processes, then run the command again"
-        raise UnusableInput(f"--cluster {cluster}: a process ended while it started; {fix}") from error
-    with local_cluster as started, distributed.Client(started, set_as_default=False) as client:
+    with (
+        distributed.LocalCluster(**workers, **others) as started,
+        distributed.Client(started, set_as_default=False) as client,
+    ):
         yield client
 
 
@@ -137,18 +170,18 @@ def computed(expected: Mapping[str, Any], call: bytes) -> Any:
     require_same(expected, _prepared(expected["XLA flags"]), f"worker on {platform.node()}")
     import jax
 
-    if expected["programs kept"]:
-        _keep_programs()
     with jax.enable_x64(expected["x64"]):
         function, args, kwargs = pickle.loads(call)
         return function(*args, **kwargs)
 
 
 def _prepared(flags: str) -> dict[str, Any]:
-    """In a worker: its environment, with these XLA flags where jax is not imported yet; freed memory is kept."""
+    """In a worker: its environment, with these XLA flags where jax is not imported yet; freed memory and compiled
+    programs are kept."""
     keep()
     if "jax" not in sys.modules:
         os.environ["XLA_FLAGS"] = flags
+    _keep_programs()
     return environment()
 
 

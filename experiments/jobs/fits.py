@@ -1,4 +1,4 @@
-"""Fits as `tune` makes them: with a checkpoint after every step, cross-fitted calibrations, recordings left out."""
+"""Fits as `tune` makes them: with a checkpoint after every step, and recordings left out."""
 
 from __future__ import annotations
 
@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.recordings.calibration import Calibration
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning import checkpoint
-from trackwright.tuning.calibrating import by_halves, by_others
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fitting import FitOptions, FitResult, Place, fit, left_out_blocks, left_out_values
 from trackwright.tuning.optimisation import FitState
@@ -75,41 +73,6 @@ def kept_fit(
         why = "non-finite likelihood, or gradients over 1000 x the median"
         say(f"{result.n_excluded} of {len(data.training)} segments were excluded: {why}")
     return result
-
-
-def cross_fitted(
-    folders: Sequence[RecordingFolder], calibration: Calibration
-) -> tuple[list[list[RecordingFolder]], list[str]]:
-    """For each recording, itself, or what a fit takes in its place where `calibration` is from it; and notices.
-
-    These are calibrated on the others among them, or, if there are none, each half on the other half: a fit with the
-    calibration itself would see smaller errors than new recordings have.
-    """
-    seen = [folder for folder in folders if folder.name in calibration.recordings]
-    parts, lines = [], list[str]()
-    for folder in folders:
-        of_folder, path = [folder], folder.path or folder.name
-        try:
-            if folder in seen and len(seen) > 1:
-                of_folder = [by_others(folder, seen)]
-                others = listed(other.name for other in seen if other is not folder)
-                lines.append(f"{path}: for the fit calibrated on {others}, instead of by the calibration given")
-            elif folder in seen:
-                of_folder = by_halves(folder)
-                lines.append(f"{path}: for the fit each half calibrated on the other half, not by the one given")
-        except (UnusableInput, KeyError) as error:
-            lines.append(f"{path}: not cross-fitted ({error}): noise levels fitted to it are too small for others")
-        parts.append(of_folder)
-    return [[_spread_of(calibration, part) for part in of_folder] for of_folder in parts], lines
-
-
-def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the spreads of a calibration."""
-    if part.calibration is None:
-        return part
-    differences = replace(part.calibration.differences, spread=whole.differences.spread)
-    own = replace(part.calibration, range_spread=whole.range_spread, differences=differences)
-    return replace(part, calibration=own)
 
 
 def with_fitted(named: NamedTracker, result: FitResult, values: Mapping[str, np.ndarray] | None = None) -> NamedTracker:

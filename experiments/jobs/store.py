@@ -18,12 +18,12 @@ WAKE_S = 0.25
 """Seconds after which a wait for parts looks for Ctrl-C: Polars lets system calls go on after it (SA_RESTART)."""
 
 BLOCK = 256  # parts after which memory is freed, which otherwise grows with their number
+LOST = ("CancelledError", "CommClosedError")  # errors of the way to the workers, which end a run
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-Kept = TypeVar("Kept")
 
 
-class Store(ABC, Generic[Item, Result, Kept]):
+class Store(ABC, Generic[Item, Result]):
     """The finished parts of a job in a folder. The last file of a part is written when the others are there: where it
     is missing, of other inputs, or damaged, the part is computed again."""
 
@@ -32,10 +32,10 @@ class Store(ABC, Generic[Item, Result, Kept]):
         """The files of a part, the last one last; none for a part that is not kept."""
 
     @abstractmethod
-    def read(self, item: Item) -> Kept:
+    def read(self, item: Item) -> Any:
         """What is kept of a part; raises any error where it is missing, of other inputs, or damaged."""
 
-    def kept(self, item: Item) -> Kept | None:
+    def kept(self, item: Item) -> Any:
         """What is kept of a part; None where that is nothing usable."""
         try:
             return self.read(item)
@@ -54,16 +54,14 @@ class Store(ABC, Generic[Item, Result, Kept]):
 
 def run(
     items: Iterable[Item],
-    function: Callable[[Any], Result],
-    store: Store[Item, Result, Any],
+    function: Callable[[Item], Result],
+    store: Store[Item, Result],
     executor: Executor,
     each: Callable[[Item, Any], None],
-    read: Callable[[Item], Any] | None = None,
     failed: Callable[[Item, Exception], Result] | None = None,
 ) -> None:
     """Computes the parts that the store lacks; calls `each` with every item and what is kept of it, or its result.
-    `function`: of an item, or of what `read`, which runs here, returns of it. `failed`: the result of a part that could
-    not be read or computed; without it such a part ends the run."""
+    `failed`: the result of a part that could not be computed; without it such a part ends the run."""
 
     def missing() -> Iterator[Item]:
         for item in items:
@@ -73,17 +71,13 @@ def run(
             else:
                 each(item, kept)
 
-    def submit(item: Item) -> Future[Any]:
-        try:
-            given = item if read is None else read(item)
-        except Exception as error:
-            unread: Future[Any] = Future()
-            unread.set_result(_instead(error, failed, item))
-            return unread
-        return executor.submit(attempted, function, given, failed, item)
-
-    parts = finished(submit, missing(), getattr(executor, "at_once", AT_ONCE), failed)
-    for count, (item, result) in enumerate(parts, 1):
+    parts = finished(lambda item: executor.submit(function, item), missing(), getattr(executor, "at_once", AT_ONCE))
+    for count, (item, future) in enumerate(parts, 1):
+        error = future.exception()
+        if failed is not None and isinstance(error, Exception) and type(error).__name__ not in LOST:
+            result = failed(item, error)
+        else:
+            result = future.result()
         store.keep(item, result)
         each(item, result)
         if count % BLOCK == 0:
@@ -92,31 +86,11 @@ def run(
             give_back()
 
 
-def attempted(
-    function: Callable[[Any], Any], given: Any, failed: Callable[[Any, Exception], Any] | None, item: Any
-) -> Any:
-    """Where a part is computed: its result, or what stands for it where it fails."""
-    try:
-        return function(given)
-    except Exception as error:
-        return _instead(error, failed, item)
-
-
-def _instead(error: Exception, failed: Callable[[Any, Exception], Any] | None, item: Any) -> Any:
-    if failed is None:
-        raise error
-    return failed(item, error)
-
-
 def finished(
-    submit: Callable[[Item], Future[Any]],
-    items: Iterable[Item],
-    at_once: int = AT_ONCE,
-    failed: Callable[[Item, Exception], Any] | None = None,
-) -> Iterator[tuple[Item, Any]]:
-    """Each item with the result of its submitted part, as parts finish; at most `at_once` are submitted at a time.
-    `failed`: the result of a part whose workers ended again and again. Parts that have not begun are cancelled where
-    one fails, and where the caller stops."""
+    submit: Callable[[Item], Future[Any]], items: Iterable[Item], at_once: int = AT_ONCE
+) -> Iterator[tuple[Item, Future[Any]]]:
+    """Each item with its submitted part, as parts finish; at most `at_once` are submitted at a time. Parts that have
+    not begun are cancelled where the caller stops."""
     waiting: dict[Future[Any], Item] = {}
     remaining = iter(items)
     try:
@@ -126,11 +100,7 @@ def finished(
             if not waiting:
                 return
             for future in wait(waiting, WAKE_S, FIRST_COMPLETED).done:
-                item, error = waiting.pop(future), future.exception()
-                if isinstance(error, Exception) and type(error).__name__ == "KilledWorker":
-                    yield item, _instead(error, failed, item)
-                else:
-                    yield item, future.result()
+                yield waiting.pop(future), future
     finally:
         for future in waiting:
             future.cancel()

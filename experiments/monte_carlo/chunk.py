@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
-from trackwright.experiments.monte_carlo.errors import TrackedRuns
 from trackwright.experiments.monte_carlo.tracked import TrackedChunk
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import tunables, with_values
@@ -46,12 +45,6 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
                 arrays["bounds"] = _bounds(folder, batches)
         results.append(arrays)
     return results
-
-
-def tracked_runs(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str, TrackedRuns]:
-    """The estimates of every tracker of a study for the trajectories with these ids, at a point of the grid."""
-    prepared = _prepared(study, study.condition(world, **point), ids)[1]
-    return {name: _track(prepared[name], ids, study, c)[0].runs(0, len(ids)) for name, c in study.trackers.items()}
 
 
 def require_fitting_parts(study: Study) -> None:

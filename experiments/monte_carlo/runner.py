@@ -1,4 +1,4 @@
-"""Run a study: its missing chunks, on all devices, up to a number of runs or until intervals are narrow enough."""
+"""Run a study's missing chunks, on all devices, up to a number of runs or until intervals are narrow enough."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from trackwright.experiments.jobs.store import run
 from trackwright.experiments.monte_carlo.chunk import require_fitting_parts, run_chunk
 from trackwright.experiments.monte_carlo.declaration import Condition, Study
 from trackwright.experiments.monte_carlo.results import NAMES, Results
-from trackwright.experiments.monte_carlo.sources import PortableStudy
-from trackwright.experiments.monte_carlo.store import IDENTITY, ChunkStore, Part, packed
+from trackwright.experiments.monte_carlo.sources import declared_again
+from trackwright.experiments.monte_carlo.store import IDENTITY, ChunkStore, Part, digest_of, packed
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.programs.program_cache import keep
 
@@ -53,25 +53,19 @@ class StopRule:
 
 
 def run_study(
-    study: Study, folder: Path, shard: tuple[int, int] = (1, 1), until: StopRule | None = None,
-    advance: Advance = lambda *_: None, executor: Executor | None = None,
-) -> Results | None:  # fmt: skip
-    """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing. `until`
-    is tested after 1, 2, 4, 8 … chunks of a condition. `executor`: default: threads. Raises UnusableInput for a folder
-    of another study, and for `until` with more than one shard."""
-    if until is not None and shard != (1, 1):
-        raise UnusableInput("--until with --shard: a shard has only its own chunks; expected one of the two options")
+    study: Study, folder: Path, until: StopRule | None = None, advance: Advance = lambda *_: None,
+    executor: Executor | None = None,
+) -> Results:  # fmt: skip
+    """Run the missing chunks of a study; its results. `until` is tested after 1, 2, 4, 8 … chunks of a condition.
+    `executor`: default: threads. Raises UnusableInput for a folder of another study."""
     if not (folder / IDENTITY).exists():
         require_fitting_parts(study)
     store = ChunkStore(folder, study).open()
     if until is None:
         parts = [(condition.index, k) for condition in study.conditions for k in range(study.chunks)]
-        run_missing(store, parts[shard[0] - 1 :: shard[1]], advance, executor)
-        runs = {condition.index: study.runs for condition in study.conditions}
-    else:
-        runs = {c.index: _run_until(store, c, until, advance, executor) for c in study.conditions}
-    every = ((index, k) for index, n in runs.items() for k in range(-(-n // study.chunk)))
-    return None if store.missing(every) else store.results(runs)
+        run_missing(store, parts, advance, executor)
+        return store.results({condition.index: study.runs for condition in study.conditions})
+    return store.results({c.index: _run_until(store, c, until, advance, executor) for c in study.conditions})
 
 
 def _run_until(
@@ -103,21 +97,20 @@ def run_missing(
         advance(1, labels[part[0]])
 
     if executor is not None:
-        run(missing, functools.partial(portable_chunk, PortableStudy.of(study)), store, executor, each)
+        if not study.declared_in:
+            fix = "expected one loaded from a file, from which other processes build it"
+            raise UnusableInput(f"study '{study.name}': built in memory; {fix}")
+        declared = study.declared_in, study.runs, study.seed, digest_of(study)
+        run(missing, functools.partial(_declared_chunk, *declared), store, executor, each)
         return
     keep()
     with Threads(jax.local_devices()[: max(1, len(missing) // CHUNKS_PER_DEVICE)]) as threads:
         run(missing, functools.partial(packed_chunk, study), store, threads, each)
 
 
-def portable_chunk(portable: PortableStudy, part: Part) -> bytes:
-    """The content of a chunk's file, computed in this process."""
-    return packed_chunk(_study(portable), part)
-
-
-@functools.lru_cache(maxsize=4)
-def _study(portable: PortableStudy) -> Study:
-    return portable.study()
+def _declared_chunk(what: str, runs: int, seed: int, digest: str, part: Part) -> bytes:
+    """In a worker: the content of a chunk's file, of a study by its name or file."""
+    return packed_chunk(declared_again(what, runs, seed, digest), part)
 
 
 def packed_chunk(study: Study, part: Part) -> bytes:

@@ -1,24 +1,23 @@
-"""Load a study: by name from the papers of `experiments.lab`, from a file, or from what travelled."""
+"""Load a study by name from the papers of `experiments.lab` or from a file, or again in a worker."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib
-import importlib.util
 import pkgutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from pydantic import StrictBool, StrictFloat, StrictInt, StrictStr
 
-from trackwright.experiments.jobs.portable import Files, copied
 from trackwright.experiments.monte_carlo.declaration import DEFAULT_METRICS, Study, TrackerConfig, World, checked
-from trackwright.experiments.monte_carlo.store import first_difference, identity
+from trackwright.experiments.monte_carlo.store import digest_of
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput, listed, near
-from trackwright.trackers.core.user_file import fault_of, run_file, split_name
+from trackwright.trackers.core.user_file import fault_of, run_file
 from trackwright.trackers.recordings.input_file import read_model
 
 PAPERS = "trackwright.experiments.lab.papers"  # in whose folders studies are looked for by name
@@ -69,20 +68,9 @@ def _modules_in(package: str) -> Iterator[pkgutil.ModuleInfo]:
     return pkgutil.iter_modules(importlib.import_module(package).__path__, f"{package}.")
 
 
-def load_study(what: str, tracker_files: Mapping[str, str] | None = None) -> Study:
-    """The study of a name or file; raises UnusableInput. `tracker_files`: other places of users' files."""
-    study = dataclasses.replace(_declared(what), declared_in=what)
-    return checked(_with_trackers_from(tracker_files, study) if tracker_files else study)
-
-
-def _with_trackers_from(files: Mapping[str, str], study: Study) -> Study:
-    """The study with the users' files of trackers in other places."""
-    trackers = dict(study.trackers)
-    for name, config in study.trackers.items():
-        file, attribute = split_name(config.tracker) if isinstance(config.tracker, str) else ("", "")
-        if file in files:
-            trackers[name] = dataclasses.replace(config, tracker=f"{files[file]}:{attribute}")
-    return dataclasses.replace(study, trackers=trackers)
+def load_study(what: str) -> Study:
+    """The study of a name or file; raises UnusableInput."""
+    return checked(dataclasses.replace(_declared(what), declared_in=what))
 
 
 def _declared(what: str) -> Study:
@@ -139,36 +127,14 @@ def _world(where: str, name: str, table: Mapping[str, Any]) -> World:
     return World(WORLDS[kind], {k: v for k, v in table.items() if k != "kind"})
 
 
-class PortableStudy(NamedTuple):
-    """The declaration of a study as it travels: its name or file, the texts of users' files, runs and seed."""
+@functools.lru_cache(maxsize=4)
+def declared_again(what: str, runs: int, seed: int, digest: str) -> Study:
+    """In a worker: the study of a name or file, with its numbers; kept, since its programs are compiled.
 
-    what: str
-    files: Files
-    runs: int
-    seed: int
-
-    @classmethod
-    def of(cls, study: Study) -> PortableStudy:
-        """The declaration of a study that was loaded by name or file; raises UnusableInput for any other one."""
-        names = [config.tracker for config in study.trackers.values() if isinstance(config.tracker, str)]
-        files = {
-            file: Path(file).read_text("utf-8") for file in sorted({split_name(name)[0] for name in names}) if file
-        }
-        if Path(study.declared_in).suffix in (".toml", ".py"):
-            files = {study.declared_in: study.source, **files}
-        difference = "built in memory"
-        if study.declared_in:
-            difference = first_difference(identity(_numbered(load_study(study.declared_in), study)), identity(study))
-        if difference:
-            fix = "expected one loaded from a file, from which other processes build it; write the change to the file"
-            raise UnusableInput(f"study '{study.name}': differs from its declaration ({difference}); {fix}")
-        return cls(study.declared_in, tuple(files.items()), study.runs, study.seed)
-
-    def study(self) -> Study:
-        """The study; the files' texts stand for the files."""
-        with copied(self.files) as places:
-            return _numbered(load_study(places.get(self.what, self.what), places), self)
-
-
-def _numbered(study: Study, other: Study | PortableStudy) -> Study:
-    return checked(dataclasses.replace(study, runs=other.runs, seed=other.seed))
+    Raises UnusableInput where its `digest` is another one: changed in memory, or another file at this place.
+    """
+    study = checked(dataclasses.replace(load_study(what), runs=runs, seed=seed))
+    if digest_of(study) != digest:
+        fix = "expected the caller's files at the same places, and no change in memory; write the change to the file"
+        raise UnusableInput(f"study '{study.name}': a worker has another declaration of {what}; {fix}")
+    return study

@@ -48,6 +48,11 @@ def identity(study: Study) -> dict[str, Any]:
     return plain
 
 
+def digest_of(study: Study) -> str:
+    """The digest of a study's identity."""
+    return config_hash(identity(study))
+
+
 def _sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -74,7 +79,7 @@ def first_difference(other: Mapping[str, Any], mine: Mapping[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
-class ChunkStore(Store[Part, bytes, Path]):
+class ChunkStore(Store[Part, bytes]):
     """The folder with the finished chunks of a study."""
 
     folder: Path
@@ -99,7 +104,7 @@ class ChunkStore(Store[Part, bytes, Path]):
 
     @cached_property
     def _digest(self) -> bytes:
-        return config_hash(identity(self.study)).encode()
+        return digest_of(self.study).encode()
 
     def path(self, part: Part) -> Path:
         """The file of a chunk."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import calibrate
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs
-from trackwright.tuning.survey.surveying import DELAY_DETERMINED, Survey
+from trackwright.tuning.survey.surveying import Survey
 
 WIDTH, SHOWN, POINTS = 150, 24, 500
 """Characters of a table's line, the most charts, and about the most rows drawn in each."""
@@ -192,19 +192,6 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
     use = f"trackwright track RECORDING --calibration {out} --out out/tracks"
     text = report_page("calibration", title, [summary, report.note], sections, [use, typed(command)])
     return write_page(out.with_suffix(".html"), text)
-
-
-def survey_data(survey: Survey) -> dict[str, Any]:
-    """The anchors by id with their numbers, half-widths of 95 % intervals and verdicts; the effect, and the notes."""
-    anchors = {
-        name: {
-            "position_m": survey.positions[k], "half_width_m": survey.half_widths[k, :3], "delay_m": survey.delays[k],
-            "delay_half_width_m": (half := survey.half_widths[k, 3]), "delay_determined": half < DELAY_DETERMINED,
-            "rms_m": survey.rms[k], "ranges": survey.readings[k], "verdict": survey.verdict(name),
-        }
-        for k, name in enumerate(survey.names)
-    }  # fmt: skip
-    return {"anchors": anchors, "effect": survey.effect, "notes": survey.notes}
 
 
 def write_survey_page(out: Path, survey: Survey, command: Sequence[str]) -> Path:

@@ -12,8 +12,7 @@ from scipy import stats
 import trackwright as tw
 from tests.tuning.worlds import figure, line_tracker, walks
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
-from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.monte_carlo.errors import scored
+from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.sim.worlds import ranges
 from trackwright.trackers.core.data.recording import stack
@@ -65,12 +64,12 @@ def test_a_study_judges_truth_without_heights_as_evaluate_does(height):
     study = Study(
         "floor", "", {"hall": World(lambda ids, seed: folder)}, {"mean": TrackerConfig("moving-average")}, runs=1
     )
-    runs = tracked_runs(study, "hall", np.array(["1"]))["mean"]
+    (arrays,) = run_chunk(study, study.conditions[0], np.array(["1"]), False)
     totals = Totals(1)
-    totals.add(0, scored(runs))
+    totals.add(0, arrays)
     results = Results(study, {(0, "mean"): totals}, {0: 1})
     evaluation = tw.evaluate(tw.build("moving-average", folder).run(folder), folder)
-    assert int(runs.known.sum()) == evaluation["n"] == ROWS
+    assert arrays["sum n"].sum() == evaluation["n"] == ROWS
     assert results.at("rmse_m", study.conditions[0], "mean").value == pytest.approx(evaluation["rmse_m"], rel=1e-9)
 
 

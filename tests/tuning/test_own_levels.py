@@ -1,5 +1,7 @@
 """Noise levels by a recording's own readings, beside a Kalman filter in NumPy that knows them."""
 
+import shutil
+
 import numpy as np
 import polars as pl
 import pytest
@@ -96,5 +98,6 @@ def test_track_names_the_fit_where_innovations_contradict_the_levels_and_does_it
     said = trackwright(*plain, tmp_path / "b", "--fit")
     assert (said.code, "--fit" in said.err) == (0, False)
     assert line in " ".join(said.err.split())
-    assert trackwright(*plain, tmp_path / "c", "--fit", "--keep-going").code == 0
+    shutil.copytree(tmp_path / "walk", tmp_path / "archive" / "walk")
+    assert trackwright("track", tmp_path / "archive", *plain[2:], tmp_path / "c", "--fit").code == 0
     assert line in (tmp_path / "c" / "results.csv").read_text("utf-8")

@@ -21,11 +21,11 @@ RECORDINGS, RESULTS = "recordings", "results.csv"
 """In the output folder of an archive: the folder of the finished recordings, and the table of results."""
 
 
-def archive_of(paths: Sequence[Path], keep_going: bool) -> list[Path] | None:
-    """The recordings in these folders, None where they are few and none is a folder of folders, unless `keep_going`."""
+def archive_of(paths: Sequence[Path], always: bool) -> list[Path] | None:
+    """The recordings in these folders, None where they are few and none is a folder of folders, unless `always`."""
     groups = [recordings_under(path) for path in paths]
     recordings = [path for group in groups for path in group]
-    if not keep_going and len(recordings) <= MANY and groups == [[path] for path in paths]:
+    if not always and len(recordings) <= MANY and groups == [[path] for path in paths]:
         return None
     refuse_repeated(recordings)
     return recordings
@@ -65,22 +65,23 @@ def content_of(path: Path) -> str:
     return digest.hexdigest()
 
 
-def read_archive(out: Path) -> tuple[pl.DataFrame, dict[str, RecordingFolder], list[str]]:
-    """Recording, path and tracker of each run of an archive; the truths by recording; a line for each without one."""
-    path, columns = out / RESULTS, dict.fromkeys(("recording", "path", "tracker"), pl.String)
+def read_archive(out: Path) -> tuple[list[RecordingFolder], list[str]]:
+    """The truths of the recordings in the table of results, by their names there; a line for each without one."""
+    path, columns = out / RESULTS, dict.fromkeys(("recording", "path"), pl.String)
     try:
-        rows = pl.read_csv(path, columns=[*columns], schema_overrides=columns).drop_nulls()
+        rows = pl.read_csv(path, columns=[*columns], schema_overrides=columns).drop_nulls().unique(maintain_order=True)
     except (OSError, pl.exceptions.PolarsError) as error:
         raise UnusableInput(f"{path}: cannot be read; expected the table of `track`; run `track` again") from error
-    truths, refused = dict[str, RecordingFolder](), list[str]()
-    for name, source in rows.unique(["recording", "path"], maintain_order=True).select("recording", "path").iter_rows():
+    truths, refused = list[RecordingFolder](), list[str]()
+    for name, source in rows.select("recording", "path").iter_rows():
         try:
-            truths[name] = replace(read_truth(Path(source)), name=name)
-            if "truth" not in truths[name].tables:
-                refused.append(f"{source}: no truth table, expected one to evaluate against")
+            truth = replace(read_truth(Path(source)), name=name)
+            if "truth" not in truth.tables:
+                raise UnusableInput(f"{source}: no truth table, expected one to evaluate against")
+            truths.append(truth)
         except UnusableInput as problem:
             refused.append(str(problem))
-    return rows, truths, refused
+    return truths, refused
 
 
 def require_output(path: Path) -> None:

@@ -200,7 +200,6 @@ def on_workers(place: str) -> Figures:
         file.write_text(STUDY, "utf-8")
         study = load_study(str(file))
         seconds, results = clocked(lambda: run_study(study, Path(name) / "out", executor=on))
-    assert results is not None
     cpu = float(np.subtract(os.times()[:4], before[:4]).sum())
     digest = json.loads(to_json(results, []))["sha256"][:12]
     return {"trajectories": RUNS, "wall_s": seconds.wall, "cpu_s": cpu, "sha256": digest, **machine()}

@@ -1,26 +1,34 @@
-"""The program: its help, its refusals, no more imports than needed, and streams that take no more or not all."""
+"""The program: its help, no more imports than needed, and streams, disks and workers that take no more."""
 
 from __future__ import annotations
 
+import errno
 import os
 import re
+import resource
+import signal
 import subprocess
 import sys
 from dataclasses import replace
 from importlib.metadata import version
+from itertools import chain
+from pathlib import Path
 from typing import get_args
 
+import polars as pl
 import pytest
 
-from tests.in_process import trackwright
-from trackwright.experiments.cli import options
+from tests.in_process import assert_refused, trackwright
+from trackwright.experiments.cli import console, options
 from trackwright.experiments.cli.commands import COMMANDS, SECTIONS, application
 from trackwright.sim import worlds
 from trackwright.trackers.exchange import pose_errors
+from trackwright.trackers.recordings import folder
 from trackwright.trackers.recordings.folder import write_recording
 
 MEMBERS = ("station", "line", "ranges", "tdoa", "fusion", "body", "tool", "agv")
 EVERY = (*(name for name in COMMANDS if name != "simulate"), *(f"simulate {name}" for name in MEMBERS))
+MOST_OPTIONS, MOST_SHOWN = 115, 16
 
 
 def test_the_help_has_a_line_for_each_command_and_fits_a_terminal():
@@ -33,6 +41,14 @@ def test_the_help_has_a_line_for_each_command_and_fits_a_terminal():
         about = {line.split()[0]: line.split()[1:] for line in lines if re.match(r"  \w", line)}
         assert list(about) == list(COMMANDS)
         assert all(len(words) > 2 for words in about.values())
+    assert trackwright("--version").out == f"trackwright {version('trackwright')}\n"
+
+
+def _arguments(command):
+    app = application()
+    for word in command.split():
+        app = app[word]
+    return [x for x in app.assemble_argument_collection(parse_docstring=True) if x.show]
 
 
 @pytest.mark.parametrize("command", EVERY)
@@ -41,29 +57,19 @@ def test_the_help_of_each_command_explains_every_argument_in_80_columns(command)
     assert (done.code, done.err, every.code) == (0, "", 0)
     assert done.out.startswith(f"usage: trackwright {command}")
     assert max(map(len, (done.out + every.out).splitlines())) <= 80
-    app = application()
-    for word in command.split():
-        app = app[word]
-    for argument in app.assemble_argument_collection(parse_docstring=True):
-        if argument.show:
-            assert argument.parameter.help, argument.name
-            assert argument.name in done.out
-            assert f"\n  {argument.name}" in every.out
+    for argument in _arguments(command):
+        assert argument.parameter.help, argument.name
+        assert argument.name in done.out
+        assert f"\n  {argument.name}" in every.out
 
 
-def test_every_option_in_a_section_of_help_is_one_of_a_command():
-    app = application()
-    known = {
-        argument.name
-        for name in COMMANDS
-        if name != "simulate"
-        for argument in app[name].assemble_argument_collection()
-    }
-    assert {f"--{name}" for names in SECTIONS.values() for name in names.split()} <= known
-
-
-def test_the_version_is_printed():
-    assert trackwright("--version").out == f"trackwright {version('trackwright')}\n"
+def test_options_are_few_and_each_one_in_a_section_of_help_is_one_of_a_command():
+    of = {command: [x.name for x in _arguments(command) if x.name.startswith("--")] for command in EVERY}
+    ours = {command: names for command, names in of.items() if " " not in command}
+    assert sum(map(len, ours.values())) <= MOST_OPTIONS
+    assert {f"--{name}" for names in SECTIONS.values() for name in names.split()} <= {*chain(*ours.values())}
+    own = trackwright("track", "--help").out.partition("Rarely")[0]
+    assert len(re.findall(r"^  --", own, re.MULTILINE)) <= MOST_SHOWN
 
 
 def _imported(lines):
@@ -104,33 +110,73 @@ def test_a_track_imports_its_own_system_and_nothing_of_studies_clusters_and_othe
     assert not {name for name in ours if name.startswith(tuple(f"trackwright.{place}." for place in places))}
 
 
-def _started(words, **environment):
-    line = [sys.executable, "-m", "trackwright", *map(str, words)]
-    return subprocess.run(line, env={**os.environ, **environment}, capture_output=True, timeout=120, check=False)
-
-
 def test_a_code_page_without_our_characters_gets_marks_for_them(beginnings):
-    done = _started(("evaluate", beginnings / "tracked"), PYTHONIOENCODING="cp1252")
+    line = [sys.executable, "-m", "trackwright", "evaluate", str(beginnings / "tracked")]
+    environment = os.environ | {"PYTHONIOENCODING": "cp1252"}
+    done = subprocess.run(line, env=environment, capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
     assert "???" in done.stdout.decode("cp1252")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
-@pytest.mark.parametrize("words", [("--help",), ("check", "GOOD")])
-def test_a_full_output_is_one_line(beginnings, words):
-    line = " ".join([sys.executable, "-m", "trackwright", *words]).replace("GOOD", str(beginnings / "good"))
-    done = subprocess.run(f"{line} > /dev/full", shell=True, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.startswith("trackwright: standard output cannot be written (No space left on device)")
-    assert done.stderr.count("\n") == 1
-
-
-def test_a_device_that_is_not_there_is_one_line(simulated, tmp_path):
-    done = _started(("track", simulated, "--tracker", "beam", "--out", tmp_path), JAX_PLATFORMS="cuda")
-    assert done.returncode == 2
-    assert done.stderr.decode().splitlines()[-1].startswith("trackwright: JAX_PLATFORMS=cuda: no such device here")
-    assert b"Traceback" not in done.stderr
+@pytest.mark.parametrize(("end", "code"), [("> /dev/full", 2), ("| true; exit ${PIPESTATUS[0]}", 141)])
+def test_an_output_that_takes_no_more_is_a_line_or_none(end, code):
+    done = subprocess.run(
+        ["bash", "-c", f"{sys.executable} -m trackwright --help {end}"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code
+    full = "trackwright: standard output cannot be written (No space left on device)\n"
+    assert done.stderr == (full if code == 2 else "")
 
 
 def test_choices_are_those_of_the_library_which_help_does_not_import():
     assert get_args(options.Alignment) == get_args(pose_errors.Alignment)
+
+
+@pytest.mark.parametrize("kilobytes", [1, 12])
+def test_a_disk_that_fills_while_a_file_is_written_spoils_no_older_file(tmp_path, simulated, kilobytes):
+    """The system refuses whatever grows beyond a limit: the table of tracks, or only the page."""
+    out, usual = tmp_path / "out", resource.getrlimit(resource.RLIMIT_FSIZE)
+    assert trackwright("track", simulated, "--tracker", "das", "--out", out).code == 0
+    (out / "tracks.parquet").write_bytes(b"older")
+    before = {path.name for path in out.iterdir()}
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1024 * kilobytes, usual[1]))
+    try:
+        said = trackwright("track", simulated, "--tracker", "das", "--out", out)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert said.code == 2
+    assert said.err.startswith("trackwright: cannot write ")
+    assert said.err.count("\n") == 1
+    assert {path.name for path in out.iterdir()} == before
+    table = out / "tracks.parquet"
+    assert table.read_bytes() == b"older" or pl.read_parquet(table).height == 60
+
+
+def test_a_disk_that_is_full_for_a_simulation_leaves_nothing(tmp_path, monkeypatch):
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "rename", full)
+    said = trackwright("simulate", "station", "--out", tmp_path / "out", "--n", 1, "--rows", 2)
+    assert_refused(said, f"{tmp_path / 'out'}: cannot be written (No space left on device), nothing was kept")
+    assert not list(tmp_path.iterdir())
+
+
+def _raising(error):
+    def raises(*arguments):
+        raise error
+
+    return raises
+
+
+def test_an_interrupted_command_prints_one_line_and_a_fault_of_the_program_is_no_bad_input(beginnings, monkeypatch):
+    monkeypatch.setattr(folder, "read_recording", _raising(KeyboardInterrupt))
+    said = trackwright("check", beginnings / "good")
+    assert (said.code, said.out) == (130, "")
+    assert said.err == "trackwright: interrupted; files already written are complete\n"
+    monkeypatch.setattr(console, "read_recordings", _raising(ZeroDivisionError("a bug")))
+    with pytest.raises(ZeroDivisionError):
+        trackwright("track", beginnings / "good", "--out", beginnings / "never")

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from itertools import cycle
 
+import numpy as np
 import polars as pl
 import pytest
 
-from tests.faulty import good_tables, write_good
-from tests.in_process import assert_refused_last, trackwright
+from tests.broken import BROKEN
+from tests.faulty import good_tables, then, with_table, write_good
+from tests.in_process import PLAIN, assert_refused_last, trackwright
+from trackwright.tuning.checkpoint import save
 
 SWEEP = "sweep {fixes} --tracker fix-kf --out out --over sensors.fixes.sigma_horizontal="
 TUNE = "tune {simulated} --tracker beam --out out "
@@ -19,7 +23,7 @@ MISTAKES = [
     ("simulate-line", 'Did you mean "simulate"?'),
     ("simulate lines", 'Unknown command "lines". Did you mean "line"?'),
     ("simulate walk", "Available commands: station, line, ranges, tdoa, fusion, body, tool, agv"),
-    ("track --out out", "track needs RECORDINGS, and its value", "See `trackwright track --help`"),
+    ("track --out out", "RECORDINGS requires an argument", "See `trackwright track --help`"),
     ("track x --out out --nose f", "Unknown option: --nose. Did you mean --noise?"),
     ("track x --out /", "--out /: is the root of the file system"),
     ("track x --out out --lag 0", 'Invalid value "0.0" for --lag. expected seconds above zero'),
@@ -27,9 +31,10 @@ MISTAKES = [
     ("track x --out out --set sigma", "--set sigma: expected NAME=VALUE"),
     ("track {good} --out out --from 9 --to 3", "has no row in the span of time asked for"),
     ("track x --out out --from nan", "expected seconds"),
-    ("track x --out", "track needs --out, and its value"),
-    ("track x --out=", 'unable to convert "" into Path'),
-    ("trackers uwb b c", "found 'c' beyond what it takes"),
+    ("track x --out", "--out requires an argument"),
+    ("track x --out=", 'unable to convert "" into'),
+    ("trackers uwb b c", "Unused Tokens: ['c']"),
+    ("trackers uwb", "its tunables belong to an installation; give a recording FOLDER, too"),
     ("simulate tool --out out --gap 3", "requires 2 positional arguments"),
     ("track x --out out --noise nowhere.toml", "nowhere.toml: cannot be read"),
     ("track x --out out --figures svg", 'Choose from: "none", "page", "png", "pdf"'),
@@ -56,10 +61,10 @@ MISTAKES = [
     ("tune {simulated} --tracker das --out out", "no noise level of motion or sensors to tune", "no tunable"),
     ("tune {blind} --tracker fix-kf --objective rmse --out out", "objective rmse needs truth", "nll"),
     ("tune x --out out --force", "--force"),
+    ("study nothing", "study 'nothing': unknown", "expected a .toml or .py file"),
+    ("study a b", "Unused Tokens: ['b']"),
     (TUNE + "--steps 0", "for --steps. expected at least 1"),
     (TUNE + "--steps 1.5", 'unable to convert "1.5" into int'),
-    (TUNE + "--piece-rows 3", "for --piece-rows. expected at least 10"),
-    (TUNE + "--optimiser adamm", 'Choose from: "auto", "lbfgs", "adam". Did you mean "adam"?'),
     (TUNE + "--tune motion.sigma_q", "matches no tunable (did you mean motion.sigma_a?); this tracker has: motion.s"),
     (TUNE + "--tune motion.* tied:nothing.*", "'nothing.*' matches no tunable"),
     (TUNE + "--tune tied:*", "ties tunables of different units or shapes"),
@@ -81,7 +86,6 @@ MISTAKES = [
     (SWEEP + "1:2:3 --over motion.sigma_a=1:2:3 --over a=1:2:3", "3 times", "once, or twice"),
     (SWEEP + "1:2:3 --over sensors.fixes.sigma_horizontal=1:2:3", "twice for different patterns"),
     (SWEEP + "1:2:3 --over sensors.*_horizontal=1:2:3", "match the same tunables"),
-    (SWEEP + "1:2:3 --repeats 0", "--repeats", "at least 1"),
     (SWEEP + "1:2:3 --objective accuracy", "'accuracy' is no objective", "rmse"),
     ("evaluate {tracked} --fail-if p95>0.5", "--fail-if", "no metric 'p95' (did you mean p95_m?)"),
     ("evaluate {tracked} --from 99", "no estimate is of these tags and times"),
@@ -100,7 +104,12 @@ MISTAKES = [
     ("calibrate {good} --out {good}/c.toml", "is a recording folder"),
     ("calibrate {blind} --out out/c.toml", "no truth table; expected truth to calibrate against"),
     ("export {tracked} --format tum --tag x --out out", "found T1, T2"),
-    ("trackers uvb", "tracker uvb: unknown"),
+    ("survey {good} --out r.toml --given A1,A2,X", "anchor 'X' has no readings"),
+    ("survey {good} --out r.toml --sigma 0.1", "belongs to given positions"),
+    ("survey {good} --out r.toml --frame A1,A2", "expected three different anchors"),
+    ("survey {good} --out r.toml --frame A1,A2,A3 --given all", "leave one out"),
+    ("survey {good} --out r.toml --height nan", "expected metres"),
+    ("trackers uvb {good}", "tracker uvb: unknown"),
     ("simulate station --out out --masked-antenna 1 9", "--masked-antenna"),
     ("simulate station --out {good}", "folder is not empty"),
     (f"simulate station --out out --seed={2**70}", "--seed ", "expected "),
@@ -112,7 +121,6 @@ MISTAKES = [
     ("simulate tool --out out --rows=1", "--rows 1: ", "expected "),
     ("simulate agv --out out --n=0", "--n 0: ", "expected "),
     ("simulate tool --out out --gap 3 1", "--gap 3.0 1.0: expected two times in seconds"),
-    ("--install-completion --shell csh", "for --shell", "zsh", "bash", "fish"),
 ]
 
 
@@ -178,3 +186,124 @@ def test_a_run_folder_that_is_broken_is_refused(tmp_path, beginnings, change, wo
     before = _contents(tmp_path)
     assert_refused_last(trackwright("evaluate", tmp_path / "run"), word)
     assert _contents(tmp_path) == before
+
+
+BAD_RECORDINGS = [
+    ("folder does not exist", "track {} --out out"),
+    ("rig broken TOML", "check {}"),
+    ("truncated Parquet", "tune {} --out out"),
+    ("text in a number", "evaluate {tracked} --truth {}"),
+]
+
+
+# All commands read with `read_recording`, with which tests/trackers/recordings tries each of BROKEN.
+@pytest.mark.parametrize(("name", "line"), BAD_RECORDINGS)
+def test_a_broken_recording_is_refused(there, tmp_path, monkeypatch, name, line):
+    monkeypatch.chdir(tmp_path)
+    word = BROKEN[name](tmp_path / "recording")
+    assert_refused_last(trackwright(*line.format(tmp_path / "recording", **there).split()), word)
+    assert not (tmp_path / "out").exists()
+
+
+ONE_LINE = ("[6.0, 5.0, 0.4]", "[3.0, 0.01, 0.4]"), ("[0.0, 5.0, 2.9]", "[9.0, 0.0, 2.9]")
+ONE_PLACE = tuple((place, "[0.0, 0.0, 0.3]") for place in ("[6.0, 0.0, 2.6]", "[6.0, 5.0, 0.4]", "[0.0, 5.0, 2.9]"))
+
+
+def _places(changes):
+    def changed(folder):
+        rig = (folder / "rig.toml").read_text()
+        for old, new in changes:
+            assert old in rig
+            rig = rig.replace(old, new)
+        (folder / "rig.toml").write_text(rig)
+        return ""
+
+    return then(changed)
+
+
+def _ranges(change):
+    return with_table("ranges", change)
+
+
+METRES = pl.col("range_m")
+UNUSABLE = [
+    (_ranges(lambda t: t.filter(pl.col("anchor").is_in(["A1", "A2"]))), "at least 3 anchors"),
+    (_ranges(lambda t: t.filter((pl.col("anchor") != "A4") & (pl.col("tag") == "T2"))), "4 where rig.toml gives it no"),
+    (_places(ONE_LINE), "on one line"),
+    (_places(ONE_PLACE), "at one place"),
+    (_ranges(lambda t: t.with_columns(range_m=-METRES)), "found 0 at most"),
+    (_ranges(lambda t: t.with_columns(range_m=1000.0 * METRES)), "millimetres?"),
+    (_ranges(lambda t: t.with_columns(range_m=pl.lit(None, pl.Float64))), "found 0 at most"),
+    (_ranges(lambda t: t.head(1)), "found 1 at most"),
+]
+
+
+@pytest.mark.parametrize(
+    ("build", "word", "tracker"), [(*x, y) for x, y in zip(UNUSABLE, cycle(("uwb", "multilateration")))]
+)
+def test_ranges_that_a_tracker_cannot_use_are_refused_even_by_force(tmp_path, build, word, tracker):
+    build(tmp_path / "recording")
+    said = trackwright("track", tmp_path / "recording", "--tracker", tracker, "--force", "--out", tmp_path / "out")
+    assert_refused_last(said, str(tmp_path / "recording"), f"tracker '{tracker}' needs", word)
+    assert not (tmp_path / "out").exists()
+
+
+def test_where_no_tracker_fits_the_nearest_and_what_it_lacks_are_named(tmp_path):
+    _ranges(lambda t: t.with_columns(range_m=pl.lit(None, pl.Float64)))(tmp_path / "empty")
+    for table in (tmp_path / "empty").glob("*.csv"):
+        if table.name not in ("ranges.csv", "truth.csv"):
+            table.unlink()
+    said = trackwright("track", tmp_path / "empty", "--out", tmp_path / "out")
+    assert_refused_last(said, "no tracker fits; the nearest, 'uwb', needs ", "found 0 at most")
+
+
+def test_errors_of_the_check_stop_whatever_is_computed_from_a_recording(tmp_path):
+    for name, changed in (("feet", METRES / 0.3048), ("millimetres", 1000.0 * METRES)):
+        _ranges(lambda t, changed=changed: t.with_columns(range_m=changed))(tmp_path / name)
+    out = tmp_path / "out"
+    for words in (
+        ("track", tmp_path / "feet", "--out", out),
+        ("tune", tmp_path / "feet", "--out", out),
+        ("calibrate", tmp_path / "feet", "--out", out / "c.toml"),
+        ("survey", tmp_path / "millimetres", "--out", out / "rig.toml"),
+    ):
+        said = trackwright(*words)
+        assert_refused_last(said, f"{words[1]}: ranges: ")
+        assert ("; --force takes it as it is" in said.err) == (words[0] != "tune")
+    assert not [*out.glob("*")]
+
+
+LEVEL = '[tunables."motion.sigma_a"]\nvalue = '
+NOISE_FILES = [
+    ("", "tunables is missing"),
+    ("[tunables", "is not valid TOML"),
+    (LEVEL + "nan\n", "motion.sigma_a.value = nan"),
+    (LEVEL + "[1.0, [2.0]]\n", "motion.sigma_a.value = [1.0, [2.0]]"),
+    (LEVEL + "-0.3\n", "is positive and finite, found -0.3"),
+    (LEVEL + '3e2\nunit = "mm/s^2"\n', "unit 'mm/s^2', expected 'rad/s^2'"),
+    ('[tunables."motion.sigma_q"]\nvalue = 0.3\n', "this tracker has no 'motion.sigma_q'"),
+    ('[tunables."sensors.*.offsets"]\nvalue = [0.1, 0.2]\n', "has shape (2,)"),
+]
+
+
+@pytest.mark.parametrize(
+    ("content", "word", "command"), [(*x, y) for x, y in zip(NOISE_FILES, cycle(("track", "tune")))]
+)
+def test_a_noise_file_that_does_not_fit_is_refused(tmp_path, simulated, content, word, command):
+    file, option = tmp_path / "tuned.toml", "--noise" if command == "track" else "--start"
+    file.write_text(content)
+    said = trackwright(command, simulated, "--tracker", "beam", option, file, "--out", tmp_path / "out")
+    assert_refused_last(said, str(file), word)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("broken", [b"no archive", None])
+def test_a_checkpoint_of_something_else_is_refused_and_kept(tmp_path, simulated, broken):
+    if broken is None:
+        save(tmp_path, [np.zeros(2)], "another fit")
+    else:
+        (tmp_path / "checkpoint.npz").write_bytes(broken)
+    before = (tmp_path / "checkpoint.npz").read_bytes()
+    said = trackwright("tune", simulated, "--tracker", "beam", "--resume", *PLAIN, "--out", tmp_path)
+    assert_refused_last(said, "checkpoint.npz", "anew")
+    assert (tmp_path / "checkpoint.npz").read_bytes() == before

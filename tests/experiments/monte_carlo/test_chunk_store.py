@@ -1,4 +1,4 @@
-"""A study's folder: chunks in any order, shards, damaged chunks, other clocks, two callers, no place to write."""
+"""A study's folder: chunks in any order, damaged, of another study, written twice, on workers, after Ctrl-C."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from tests.experiments.monte_carlo.small_study import SMALL, sha
+from tests.experiments.monte_carlo.small_study import SMALL, TOML, sha
+from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor, environment
 from trackwright.experiments.monte_carlo.chunk import run_chunk
-from trackwright.experiments.monte_carlo.runner import run_missing, run_study
+from trackwright.experiments.monte_carlo.runner import StopRule, run_missing, run_study
+from trackwright.experiments.monte_carlo.sources import available_studies, load_study
 from trackwright.experiments.monte_carlo.store import ChunkStore, packed
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -31,33 +33,23 @@ def finished(whole, tmp_path):
     return folder, sorted((folder / "chunks").glob("*.npz"))
 
 
-def test_chunks_in_another_order_and_in_shards_give_the_same_numbers(whole, tmp_path):
-    backwards = ChunkStore(tmp_path / "backwards", SMALL).open()
+def test_chunks_in_another_order_give_the_same_numbers(whole, tmp_path):
+    backwards = ChunkStore(tmp_path, SMALL).open()
     for condition in reversed(SMALL.conditions):
         for chunk in reversed(range(SMALL.chunks)):
             run_missing(backwards, [(condition.index, chunk)])
     assert sha(backwards.results({c.index: SMALL.runs for c in SMALL.conditions})) == whole[1]
-    shards = tmp_path / "shards"
-    assert run_study(SMALL, shards, (1, 2)) is None
-    # What a killed process was writing is no chunk.
-    (shards / "chunks" / ".trackwright-01234567-0000-000000.npz").write_bytes(b"half")
-    assert sha(run_study(SMALL, shards, (2, 2))) == whole[1]
 
 
-def test_a_chunk_of_another_study_is_computed_again(whole, finished):
-    folder, _ = finished
-    other = dataclasses.replace(SMALL, seed=1)
+def test_chunks_cut_or_of_another_study_are_computed_again_and_what_a_killed_process_wrote_is_removed(whole, finished):
+    folder, (_, cut, *others) = finished
+    other, made = dataclasses.replace(SMALL, seed=1), {one: one.stat().st_mtime_ns for one in others}
     ChunkStore(folder, other).keep((0, 0), packed(run_chunk(other, other.conditions[0], np.arange(6), True)))
+    before = cut.read_bytes()
+    cut.write_bytes(before[: int(0.99 * len(before))])
+    (folder / "chunks" / ".trackwright-01234567-0000-000000.npz").write_bytes(b"half")
     assert sha(run_study(SMALL, folder)) == whole[1]
-
-
-@pytest.mark.parametrize("kept", [0, 0.99])
-def test_a_truncated_chunk_is_computed_again_to_the_same_bits(whole, finished, kept):
-    folder, (path, *others) = finished
-    before, made = path.read_bytes(), {one: one.stat().st_mtime_ns for one in others}
-    path.write_bytes(before[: int(kept * len(before))])
-    assert sha(run_study(SMALL, folder)) == whole[1]
-    assert len(path.read_bytes()) > 0.9 * len(before)
+    assert len(cut.read_bytes()) > 0.9 * len(before)
     assert {one: one.stat().st_mtime_ns for one in others} == made
 
 
@@ -68,6 +60,8 @@ def test_a_damaged_chunk_is_named(finished):
     path.write_bytes(data)
     with pytest.raises(UnusableInput, match=f"{path.name}: not a chunk of a study; remove it"):
         run_study(SMALL, folder)
+    with pytest.raises(UnusableInput, match="holds another study .seed: 0, not 1"):
+        run_study(dataclasses.replace(SMALL, seed=1), folder)
 
 
 @pytest.mark.slow
@@ -76,3 +70,92 @@ def test_two_callers_on_one_folder_end_with_the_same_bits(whole, tmp_path):
         found = [*callers.map(lambda _: run_study(SMALL, tmp_path), range(2))]
     assert [*map(sha, found)] == [whole[1]] * 2
     assert not [path.name for path in tmp_path.rglob(".*")]
+
+
+MINE = "from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
+PYTHON = """
+import numpy as np
+from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
+from trackwright.sim.worlds import WORLDS
+
+STUDY = Study(
+    name="mine", about="", worlds={"line": World(lambda ids, seed, **n: WORLDS["line"](ids, seed, rate_hz=1.0, **n))},
+    trackers={"mine": TrackerConfig("mine.py:MINE"), "fix-kf": TrackerConfig("fix-kf")}, runs=12,
+    measures={"last_m": lambda run: np.linalg.norm((run.estimates - run.truth)[:, -1, :2], axis=-1)},
+    metrics=("rmse_m", "bound_m", "last_m"),
+)
+"""
+
+
+@pytest.fixture
+def studies(tmp_path, monkeypatch):
+    """A study in Python with a world, a measure and a tracker of its own, and one in TOML."""
+    (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "study.py").write_text(PYTHON)
+    (tmp_path / "small.toml").write_text(TOML + "[grid]\n'world.speed' = [0.2, 0.3]\n")
+    monkeypatch.chdir(tmp_path)
+    return [load_study("study.py"), load_study("small.toml")]
+
+
+@pytest.fixture
+def elsewhere():
+    """An executor that pickles calls and checks its environment as workers do, in a thread of this process."""
+    with ThreadPoolExecutor(1) as threads:
+        yield WorkerExecutor(threads, environment())
+
+
+@pytest.mark.parametrize("name", available_studies())
+def test_every_name_on_the_list_is_a_study_with_expected_results(name):
+    study = load_study(name)
+    assert study.name == name
+    assert study.expected is not None
+
+
+def test_a_study_on_workers_is_the_declared_one_with_the_bits_of_threads(studies, elsewhere, tmp_path):
+    for study in studies:
+        here = sha(run_study(study, tmp_path / "here" / study.name))
+        assert sha(run_study(study, tmp_path / "there" / study.name, executor=elsewhere)) == here
+    other = dataclasses.replace(studies[1], metrics=["bound_m"])
+    with pytest.raises(UnusableInput, match="a worker has another declaration of small.toml"):
+        run_study(other, tmp_path / "changed", executor=elsewhere)
+    with pytest.raises(UnusableInput, match="built in memory"):
+        run_study(SMALL, tmp_path / "memory", executor=elsewhere)
+
+
+@pytest.mark.slow
+def test_worker_processes_give_the_bits_of_threads(studies, tmp_path):
+    pytest.importorskip("distributed")
+    with cluster_executor("local:2") as workers:
+        found = [sha(run_study(study, tmp_path / study.name, executor=workers)) for study in studies]
+    assert found == [sha(run_study(study, tmp_path / f"{study.name}-here")) for study in studies]
+
+
+def test_until_ends_a_condition_as_soon_as_its_interval_is_narrow_enough(studies, elsewhere, tmp_path):
+    study = dataclasses.replace(SMALL, runs=64, worlds={"constant": SMALL.worlds["constant"]})
+    wide = run_study(study, tmp_path / "wide", StopRule.parse("rmse_m±30%", study))
+    narrow = run_study(study, tmp_path / "narrow", StopRule.parse("rmse_m +- 0.01 %", study))
+    assert (wide.runs[0], narrow.runs[0]) == (32, 64)
+    assert [len([*(tmp_path / name / "chunks").glob("*.npz")]) for name in ("wide", "narrow")] == [1, 2]
+    stop = StopRule.parse("rmse_m±90%", studies[1])
+    here, there = (run_study(studies[1], tmp_path / f"{x is None}", stop, executor=x) for x in (None, elsewhere))
+    assert there.runs == here.runs
+    assert min(there.runs.values()) < studies[1].runs
+    assert sha(there) == sha(here)
+
+
+@pytest.mark.parametrize("where", ["threads", "elsewhere"])
+def test_a_study_interrupted_by_ctrl_c_continues_from_its_store(studies, elsewhere, tmp_path, where):
+    study, seen = studies[1], []
+    executor = None if where == "threads" else elsewhere
+
+    def interrupted(done, now=""):
+        seen.append(done)
+        if sum(seen) >= 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_study(study, tmp_path / "out", advance=interrupted, executor=executor)
+    stored = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "chunks").glob("*.npz")}
+    assert 2 <= len(stored) < len(study.conditions) * study.chunks
+    assert sha(run_study(study, tmp_path / "out", executor=executor)) == sha(run_study(study, tmp_path / "whole"))
+    assert {path: path.stat().st_mtime_ns for path in stored} == stored

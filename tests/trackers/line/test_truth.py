@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from trackwright.experiments.cli.import_source import import_source
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.line import THESIS_KNOTS, simulate_line
+from trackwright.trackers.line.rows import fit_path_truth
 from trackwright.trackers.line.truth import knot_times
-from trackwright.trackers.recordings.folder import read_recording, write_recording
 
 
 @pytest.mark.parametrize("situation", ["constant", pytest.param("halts", marks=pytest.mark.slow), "speeds"])
@@ -46,16 +45,11 @@ def test_no_other_knot_times_have_a_smaller_sum_of_squares():
             assert np.sqrt(np.mean(np.sum((fixes - positions) ** 2, axis=1))) > fitted.rms - 1e-4
 
 
-def test_the_command_writes_the_recording_with_a_fitted_truth(tmp_path, capsys):
+def test_a_recording_gets_a_truth_along_its_path():
     world = simulate_line("halts", 2, seed=8).folder("line")
-    write_recording(world, tmp_path / "line")
-    assert import_source(tmp_path / "line", path=True, out=tmp_path / "fitted") == 0
-    printed = capsys.readouterr()
-    assert "tag 0: 0.4" in printed.out
-    fitted = read_recording(tmp_path / "fitted")
+    fitted, _ = fit_path_truth(world)
     assert fitted.tables["fixes"].equals(world.tables["fixes"])
     both = fitted.tables["truth"].join(world.tables["truth"], on=["t_s", "tag"], suffix="_true")
     apart = np.hypot(*(both[f"{a}_m"].to_numpy() - both[f"{a}_m_true"].to_numpy() for a in "xy"))
     assert np.sqrt(np.mean(apart**2)) < 0.2
-    assert "its own truth is replaced" in printed.err
     assert both["z_m"].unique().to_list() == [0.78]

@@ -8,8 +8,7 @@ import pytest
 
 import trackwright as tw
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
-from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.monte_carlo.errors import scored
+from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.trackers.core.data.estimates import STEP_COLUMNS, Estimates, Status
 from trackwright.trackers.core.model.algebra import Vector
@@ -88,11 +87,12 @@ def test_evaluate_and_a_study_find_the_same_nis_ratio_and_errors(one_noisy):
         trackers={"uwb": TrackerConfig("uwb"), "slow": TrackerConfig("uwb", every=0.7)},
         runs=2,
     )
-    tracker, ids = tw.build("uwb", one_noisy), np.array(["a", "b"])
-    for name, every in (("uwb", None), ("slow", 0.7)):
+    tracker = tw.build("uwb", one_noisy)
+    chunks = run_chunk(study, study.conditions[0], np.array(["a", "b"]), False)
+    for (name, every), arrays in zip((("uwb", None), ("slow", 0.7)), chunks, strict=True):
         evaluation = tw.evaluate(tracker.run(one_noisy), one_noisy, every)
         totals = Totals(2)
-        totals.add(0, scored(tracked_runs(study, "hall", ids)[name]))
+        totals.add(0, arrays)
         results = Results(study, {(0, name): totals}, {0: 2})
         for metric in ("nis_ratio", "rmse_m", "rmse_3d_m", "nees_mean", "coverage_95"):
             found = results.at(metric, study.conditions[0], name).value

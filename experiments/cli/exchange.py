@@ -1,15 +1,13 @@
-"""`trackwright import`."""
+"""`trackwright import` and `trackwright export`."""
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Folder, Readings, Seconds
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.experiments.cli.options import File, Folder, Name, Numbers, Seconds, TrackOptions
 from trackwright.trackers.exchange.formats import FORMATS
 
 Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
@@ -19,7 +17,6 @@ FormatName = Annotated[
         metavar="NAME",
         help=f"of the file: {', '.join(FORMATS)}, or FILE.py:NAME of a function of your own, from its path to tables; "
         "default: by its name and first lines.",
-        completer=lambda context: list(FORMATS),
     ),
 ]
 """A format by name, or a user's own."""
@@ -33,7 +30,7 @@ def import_source(
     origin: Annotated[str, Parameter(metavar="start|S|DATE")] | None = None,
     transform: Annotated[str, Parameter(metavar="X,Y,Z,YAW,S", allow_leading_hyphen=True)] | None = None,
     align_truth: Annotated[tuple[Literal["xy"], ...] | None, Parameter(consume_multiple=True)] = None,
-    path: bool = False, interval: Seconds | None = None, skip_bad_lines: bool = False,
+    interval: Seconds | None = None, skip_bad_lines: bool = False,
     header: Annotated[str, Parameter(metavar="LINE|none")] = "", skip: int = 0,
     missing: Annotated[tuple[str, ...], Parameter(metavar="MARK")] = (),
     thousands: Annotated[str, Parameter(metavar="MARK")] = "", encoding: str = "", replace: bool = False,
@@ -44,7 +41,7 @@ def import_source(
     Nothing is guessed: what is not mapped is skipped with a notice. docs/import.md has an example of each.
 
     Args:
-        source: a file, or the folder of a ROS 2 bag; with --path a recording folder.
+        source: a file, or the folder of a ROS 2 bag.
         out: the recording folder to write, whose name is the recording's; tables are added to an existing one.
         table: what the rows or messages are.
         columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm*0.001",
@@ -64,8 +61,6 @@ def import_source(
             then a shift, m; S, seconds added to its times, may be left out.
         align_truth: find these numbers by the readings of the recording in --out; a shift in z that they do not
             determine to 5 cm is left out where it may be zero, and in any case with xy after the option.
-        path: fit a truth along [path] of the rig.toml of a recording to its fixes, or to positions from its ranges, at
-            a constant speed on each segment, with rests at the knots; --out gets the recording with this truth.
         interval: s between the lines of a log without times.
         header: the line of a table in text with the names of columns, or none; default: the first that is no comment.
         skip: lines above a table in text to leave out.
@@ -76,12 +71,6 @@ def import_source(
         skip_bad_lines: leave lines of a log that are not understood out, and count them.
         messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
     """
-    if path:
-        reading = (table, columns, mapping, topic, tag, rig, format, separator, origin, interval, messages)
-        marks = (header, skip, missing, thousands, encoding, replace, transform, skip_bad_lines, decimal != ".")
-        if align_truth is not None or any((*reading, *marks)):
-            raise UnusableInput("--path: fits a truth to a recording folder; expected no other option but --out")
-        return _fit_truth(source, out)
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.core.wording import counted
     from trackwright.trackers.exchange.expressions import columns_of
@@ -104,26 +93,43 @@ def import_source(
     return 0
 
 
-def _fit_truth(recording: Path, out: Path) -> int:
-    """Writes the recording with a truth along its known path into the new folder `out`."""
-    started = datetime.now(UTC)
-    from trackwright.experiments.cli.console import keep_programs, notices, prepared, write_manifest
-    from trackwright.trackers.recordings.folder import write_recording
+Format = Literal["tum", "csv", "c"]
 
-    (folder,) = prepared((recording,), Readings(), check=False)
-    keep_programs()
-    # jax takes a second to import, which the help and a refused recording need not wait for.
-    from trackwright.trackers.line.rows import fit_path_truth
 
-    fitted, knot_times = fit_path_truth(folder)
-    if "truth" in folder.tables:
-        notices([f"{recording}: its own truth is replaced"])
-    write_recording(fitted, out)
-    write_manifest(out, {"recording": str(recording)}, started)
-    for tag, times in knot_times.items():
-        passed = zip(times.departed, times.arrived, strict=True)
-        segments = ", ".join(f"{begin:.2f}-{end:.2f} s" for begin, end in passed if end > begin)
-        print(f"tag {tag}: {times.rms:.3f} m RMS about the path; segments {segments}")
-    rows = len(fitted.tables["truth"])
-    print(f"wrote {out}: the recording with a fitted truth of {rows} rows; use it: evaluate … --truth {out}")
+def export(
+    run: Path, /, *, format: Format, out: Annotated[Path, Parameter(metavar="PATH")], tag: str | None = None,
+    tracker: Name | None = None, noise: File | None = None, force: bool = False,
+) -> int:  # fmt: skip
+    """Export tracks or truth as TUM or CSV; or a tracker as C.
+
+    csv has every column of tracks.parquet; tum has poses (attitude: the identity where there is none).
+
+    c is a tracker for a recording folder, with its header, and the rows of the first tag as CSV, which `main` replays.
+
+    Args:
+        run: the output folder of `track`; or a recording folder, of which the truth is written.
+        format: of the file.
+        out: the file; of several tracks in tum, a folder.
+        tag: this tag alone.
+        tracker: of c; default: as in `--noise`, else the one that fits the tables.
+        noise: of c: a tuned.toml of `trackwright tune`.
+        force: replace a file that exists.
+    """
+    if format != "c":
+        from trackwright.trackers.exchange.trajectories import export_tracks
+
+        print("\n".join(export_tracks(run, format, out, tag, force)))
+        return 0
+    from trackwright.trackers.c_source import write_c
+    from trackwright.trackers.catalogue import build, fitting
+    from trackwright.trackers.recordings.archives import require_new
+    from trackwright.trackers.recordings.folder import read_recording
+    from trackwright.trackers.recordings.selection import Selection
+
+    require_new(out, "tracker.c", force)
+    options = TrackOptions(out=out.parent, numbers=Numbers(tracker=tracker), noise=noise)
+    options.read()
+    folder = Selection(() if tag is None else (tag,)).of(read_recording(run))
+    written = write_c(options.valued(build(options.named or fitting(folder), folder)), folder, out)
+    print(f"wrote {', '.join(map(str, written))}")
     return 0

@@ -1,4 +1,4 @@
-"""Parts of a job: which are computed, in which order they come, and what a bad one costs."""
+"""Parts of a job: which are computed, in which order they come, what a bad one costs, and which workers are refused."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from threading import Event
 
 import pytest
 
-from trackwright.experiments.jobs.environment import environment
-from trackwright.experiments.jobs.executors import Threads, WorkerExecutor
+from tests.experiments.monte_carlo.small_study import TOML
+from tests.in_process import assert_refused, trackwright
+from trackwright.experiments.jobs.executors import Threads, WorkerExecutor, cluster_executor, environment
 from trackwright.experiments.jobs.store import Store, finished, run
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -52,19 +53,9 @@ def _number(item):
     return math.factorial(item)
 
 
-def _instead(item, error):
-    return -item
-
-
-def _unread(item):
-    if item == 4:
-        raise OSError("not there")
-    return item
-
-
-def _found(items, store, executor, *more):
+def _found(items, store, executor, *failed):
     found = {}
-    run(items, _number, store, executor, found.__setitem__, *more)
+    run(items, _number, store, executor, found.__setitem__, *failed)
     return found
 
 
@@ -73,8 +64,8 @@ def test_what_the_store_lacks_is_computed_and_a_bad_part_costs_itself_alone(tmp_
     store = Numbers(tmp_path)
     store.keep(5, 55)
     with where() as executor:
-        found = _found(iter(range(8)), store, executor, _unread, _instead)
-        assert found == {0: 1, 1: 1, 2: -2, 3: 6, 4: -4, 5: 55, 6: -6 if where is not Threads else 720, 7: 5040}
+        found = _found(iter(range(8)), store, executor, lambda item, error: -item)
+        assert found == {0: 1, 1: 1, 2: -2, 3: 6, 4: 24, 5: 55, 6: -6 if where is not Threads else 720, 7: 5040}
         assert found == {item: store.kept(item) for item in range(8)}
         assert _found(range(8), store, None) == found
 
@@ -119,7 +110,35 @@ def test_parts_that_have_not_begun_are_cancelled_where_one_fails():
         run.append(item)
 
     with ThreadPoolExecutor(1) as threads:
+        parts = finished(lambda item: threads.submit(part, item), range(5), at_once=5)
         with pytest.raises(UnusableInput, match="the first part"):
-            list(finished(lambda item: threads.submit(part, item), range(5), at_once=5))
+            _ = [future.result() for _, future in parts]
+        parts.close()
         release.set()
     assert len(run) <= 1
+
+
+@pytest.mark.parametrize(
+    ("cluster", "word"),
+    [("local:0", "expected local:N, as local:4"), ("tcp://127.0.0.1:9", "no scheduler answers within")],
+)
+def test_a_cluster_that_is_none_is_refused_in_one_line(tmp_path, monkeypatch, cluster, word):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("trackwright.experiments.jobs.executors.CONNECT_S", 0.2)
+    (tmp_path / "small.toml").write_text(TOML)
+    said = trackwright("study", tmp_path / "small.toml", "--out", tmp_path / "out", "--cluster", cluster)
+    assert said.code == 2
+    assert f"--cluster {cluster}: {word}" in said.err.splitlines()[-1]
+
+
+def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    other = "from trackwright.experiments.jobs import executors\nexecutors.version = lambda name: '0.0.1'\n"
+    (tmp_path / "small.toml").write_text(TOML)
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, preload=other, dashboard_address=":0") as started:
+        on = ("--cluster", started.scheduler_address)
+        with pytest.raises(UnusableInput, match="0.0.1"), cluster_executor(on[1]):
+            pytest.fail("was connected")
+        result = trackwright("study", tmp_path / "small.toml", "--out", tmp_path / "out", *on)
+    assert_refused(result, "worker tcp://", "0.0.1", "expected as here: ")
+    assert not [*(tmp_path / "out").glob("chunks/*")]
