@@ -19,9 +19,9 @@ from trackwright.experiments.cli.console import (
     write_manifest,
 )  # fmt: skip
 from trackwright.experiments.cli.options import TrackOptions, config, file_format
-from trackwright.experiments.pages.reports.pages import typed
-from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
+from trackwright.experiments.pages.report import typed
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
+from trackwright.experiments.pages.track import PAGE, run_data, write_track_page
 from trackwright.experiments.text.evaluation_text import content, to_json, to_text
 from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import Begin, notice
@@ -210,7 +210,7 @@ def write_shown(
     if kind := file_format(options.figures):
         run.begin("figures")
         # matplotlib takes a third of a second to import.
-        from trackwright.experiments.pages.charts.recording import plot_tracks
+        from trackwright.experiments.pages.charts import plot_tracks
 
         written.append(figures_drawn(plot_tracks(out, tracks, kind)))
     return written

@@ -17,7 +17,7 @@ from trackwright.experiments.cli.console import Run, notices, output_folder, wri
 from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, config, file_format
 from trackwright.experiments.jobs.fits import checked_bounds, cross_fitted, kept_fit, left_out_estimates
 from trackwright.experiments.pages import tuning as pages
-from trackwright.experiments.pages.reports.pages import typed, write_page
+from trackwright.experiments.pages.report import typed, write_page
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Advance, notice
 from trackwright.trackers.catalogue import fitting
@@ -197,7 +197,7 @@ def _write_trace(out: Path, data: FitData, result: tw.FitResult, objective: str,
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
     if figure is None:
         return []
-    from trackwright.experiments.pages.charts.drawing import write_charts
+    from trackwright.experiments.pages.chart import write_charts
 
     return write_charts(out, [pages.objective_chart(traces, pages.objective_words(data, objective))], figure)
 

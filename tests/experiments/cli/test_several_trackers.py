@@ -35,8 +35,7 @@ def test_several_trackers_are_compared_in_one_table_with_paired_differences_and_
         assert (folder / "two" / name / "evaluation.json").is_file()
         assert not list((folder / "two" / name).glob("*.png"))
     figures = {path.name for path in (folder / "two").glob("*.png")}
-    plans = {f"floor_plan-good-{name}" for name in ("moving-average", "median")}
-    assert figures == {f"comparison-{name}.png" for name in ("errors", "boxes", *plans)}
+    assert figures == {"comparison-error-cdf.png", "comparison-coverage.png"}
     page = (folder / "two" / "comparison.html").read_text()
     moving = (folder / "two" / "report.html").read_text()
     runs = json.loads(moving.split('id="data">')[1].split("</script>")[0])["runs"]
@@ -44,8 +43,7 @@ def test_several_trackers_are_compared_in_one_table_with_paired_differences_and_
         ("moving-average", "good"),
         ("median", "good"),
     ]
-    # The distribution of errors, their boxes, and a floor plan by each tracker.
-    assert page.count('<div class="chart">') == 4
+    assert page.count('<div class="chart">') == 2
     assert "adjusted for" in page
 
 
@@ -68,7 +66,7 @@ def test_any_number_of_runs_is_compared_straight_after_track(compared, tmp_path)
     assert said.code == 0, said
     lines = [line.split() for line in said.out.splitlines() if line.strip().startswith("good ")]
     assert [line[1] for line in lines] == ["moving-average", "median", "kf"]
-    assert not (tmp_path / "all" / "comparison-errors.png").exists()
+    assert not (tmp_path / "all" / "comparison-error-cdf.png").exists()
     contrasts = [line.split()[0] for line in said.out.splitlines() if " RMSE, " in line]
     assert contrasts == ["median", "kf"]
 
