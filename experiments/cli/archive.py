@@ -31,8 +31,7 @@ from trackwright.experiments.jobs.portable import file_of, spec_here
 from trackwright.experiments.jobs.store import Store
 from trackwright.experiments.jobs.store import run as run_parts
 from trackwright.experiments.pages.scored_tracks import drawn_of
-from trackwright.experiments.text.evaluation_text import archive_text, to_json
-from trackwright.experiments.text.tables import terminal_width
+from trackwright.experiments.text.tables import archive_text, terminal_width, to_json
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.catalogue import fitting, spec_of
 from trackwright.trackers.core.errors import has_control, one_line

@@ -10,8 +10,15 @@ import polars as pl
 
 from trackwright.experiments.cli.console import LEFT_OUT, notices, output_folder, prepared, running
 from trackwright.experiments.cli.options import EvaluateOptions, Readings
-from trackwright.experiments.text.evaluation_text import archive_text, content, pose_errors_text, to_json, to_text
-from trackwright.experiments.text.tables import sections_text, terminal_width
+from trackwright.experiments.text.tables import (
+    archive_text,
+    content,
+    pose_errors_text,
+    sections_text,
+    terminal_width,
+    to_json,
+    to_text,
+)
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.evaluation.evaluate import (
     Evaluation,

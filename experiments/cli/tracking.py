@@ -22,8 +22,7 @@ from trackwright.experiments.cli.options import TrackOptions, config, file_forma
 from trackwright.experiments.pages.report import typed
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.pages.track import PAGE, run_data, write_track_page
-from trackwright.experiments.text.evaluation_text import content, to_json, to_text
-from trackwright.experiments.text.tables import terminal_width
+from trackwright.experiments.text.tables import content, terminal_width, to_json, to_text
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
 from trackwright.trackers.catalogue import several, spec_of, tracked_by

@@ -20,9 +20,8 @@ from trackwright.experiments.monte_carlo.declaration import short
 from trackwright.experiments.pages.chart import Chart
 from trackwright.experiments.pages.charts import coverage, error_cdf
 from trackwright.experiments.pages.report import report_page, typed, write_page
-from trackwright.experiments.text.evaluation_text import COLUMNS, cells, title_of
 from trackwright.experiments.text.expectations import Value, with_interval
-from trackwright.experiments.text.tables import Section
+from trackwright.experiments.text.tables import COLUMNS, Section, cells, title_of
 from trackwright.experiments.text.wording import (
     MISSING,
     SHOWN,
