@@ -13,7 +13,7 @@ from unittest import mock
 import jax
 
 from trackwright.experiments.cli.main import main
-from trackwright.experiments.pages.charts import drawing as style
+from trackwright.experiments.pages import chart as style
 from trackwright.experiments.text import terminal
 from trackwright.trackers.programs import traced_programs
 

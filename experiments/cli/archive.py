@@ -27,8 +27,7 @@ from trackwright.experiments.cli.options import TrackOptions
 from trackwright.experiments.jobs.executors import Threads, cluster_executor, environment
 from trackwright.experiments.jobs.store import Store
 from trackwright.experiments.jobs.store import run as run_parts
-from trackwright.experiments.text.evaluation_text import archive_text, content, to_json
-from trackwright.experiments.text.tables import terminal_width
+from trackwright.experiments.text.tables import archive_text, content, terminal_width, to_json
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import fitting, run_files, spec_of
 from trackwright.trackers.core.errors import has_control, one_line

@@ -11,8 +11,15 @@ import polars as pl
 
 from trackwright.experiments.cli.console import LEFT_OUT, notices, output_folder
 from trackwright.experiments.cli.options import EvaluateOptions
-from trackwright.experiments.text.evaluation_text import archive_text, content, pose_errors_text, to_json, to_text
-from trackwright.experiments.text.tables import sections_text, terminal_width
+from trackwright.experiments.text.tables import (
+    archive_text,
+    content,
+    pose_errors_text,
+    sections_text,
+    terminal_width,
+    to_json,
+    to_text,
+)
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import (
@@ -74,7 +81,7 @@ def print_comparison(
     """Prints the comparison of the runs in these folders, and writes its page and figures into the folder `out`.
     `kind`: the ending of the figures, None for none. `playback`: another page beside it, which it names."""
     # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
-    from trackwright.experiments.pages.reports.comparison import (
+    from trackwright.experiments.pages.comparison import (
         WIDTH,
         comparison,
         comparison_charts,
@@ -98,7 +105,7 @@ def print_comparison(
     written = list[str]()
     if kind is not None:
         # matplotlib takes a third of a second to import.
-        from trackwright.experiments.pages.charts.drawing import write_charts
+        from trackwright.experiments.pages.chart import write_charts
 
         written += write_charts(out, charts, kind, f"{path.stem}-")
     if page:
@@ -132,9 +139,9 @@ def _write(
     out: Path, text: str, evaluation: Evaluation, tracks: pl.DataFrame, folders: Sequence[RecordingFolder], source: str
 ) -> str:
     """Writes the files of `--out`; in words, which."""
-    from trackwright.experiments.pages.reports.pages import typed
-    from trackwright.experiments.pages.reports.track import NO_EVENTS, PAGE, run_data, write_track_page
+    from trackwright.experiments.pages.report import typed
     from trackwright.experiments.pages.scored_tracks import ScoredTracks
+    from trackwright.experiments.pages.track import NO_EVENTS, PAGE, run_data, write_track_page
     from trackwright.trackers.recordings.tracks_table import SOURCES, sources_text
 
     write_whole(out / EVALUATION, text)

@@ -38,7 +38,7 @@ def study(
     from trackwright.experiments.monte_carlo.runner import StopRule, run_study
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
     from trackwright.experiments.pages import study as pages
-    from trackwright.experiments.pages.reports.pages import write_page
+    from trackwright.experiments.pages.report import write_page
     from trackwright.experiments.text.terminal import notice
     from trackwright.experiments.text.wording import figures_drawn
     from trackwright.trackers.core.run.chunks import n_workers
@@ -66,7 +66,7 @@ def study(
     written = ["results.json", "manifest.json"]
     if kind := file_format(figures):
         # matplotlib takes a third of a second to import.
-        from trackwright.experiments.pages.charts.drawing import write_charts
+        from trackwright.experiments.pages.chart import write_charts
 
         written.append(figures_drawn(write_charts(folder, pages.study_charts(results), kind)))
     if figures != "none":

@@ -12,11 +12,10 @@ import trackwright as tw
 from trackwright.experiments.cli.console import LEFT_OUT, notices, write_manifest
 from trackwright.experiments.cli.evaluating import print_comparison
 from trackwright.experiments.cli.options import TrackOptions, file_format
-from trackwright.experiments.pages.reports.pages import typed
-from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
+from trackwright.experiments.pages.report import typed
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
-from trackwright.experiments.text.evaluation_text import content, to_json, to_text
-from trackwright.experiments.text.tables import terminal_width
+from trackwright.experiments.pages.track import PAGE, run_data, write_track_page
+from trackwright.experiments.text.tables import content, terminal_width, to_json, to_text
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
 from trackwright.trackers.catalogue import several, spec_of, tracked_by
@@ -106,7 +105,7 @@ def track_together(
                 written.append(PAGE)
         if (kind := file_format(options.figures)) and not compared:
             # matplotlib takes a third of a second to import.
-            from trackwright.experiments.pages.charts.recording import plot_tracks
+            from trackwright.experiments.pages.charts import plot_tracks
 
             begin("figures")
             written.append(figures_drawn(plot_tracks(out, scored, kind)))

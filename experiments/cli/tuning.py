@@ -14,7 +14,7 @@ from trackwright.experiments.cli.console import notices, output_folder, write_ma
 from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, file_format
 from trackwright.experiments.jobs.fits import checked_bounds, kept_fit, left_out_estimates
 from trackwright.experiments.pages import tuning as pages
-from trackwright.experiments.pages.reports.pages import typed, write_page
+from trackwright.experiments.pages.report import typed, write_page
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.trackers.catalogue import fitting
@@ -134,7 +134,7 @@ def _write_trace(data: FitData, result: tw.FitResult, objective: str, options: T
     figure = file_format(options.figures)
     if figure is None:
         return []
-    from trackwright.experiments.pages.charts.drawing import write_charts
+    from trackwright.experiments.pages.chart import write_charts
 
     return write_charts(options.out, [pages.objective_chart(traces, pages.objective_words(data, objective))], figure)
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.pages.charts.floor import PlanPath, plan
-from trackwright.experiments.pages.charts.style import BEFORE, BLACK, BLUE, GREY, Chart, Line
-from trackwright.experiments.pages.reports.pages import report_page, typed, write_page
+from trackwright.experiments.pages.chart import BLACK, BLUE, GREY, PALE, Chart, Line, path
+from trackwright.experiments.pages.charts import ellipses, plan
+from trackwright.experiments.pages.report import report_page, typed, write_page
 from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput, listed
@@ -172,13 +172,15 @@ def errors_chart(source: Source, calibration: Calibration) -> Chart:
     """Errors of the readings before and after calibration against the true value."""
     factor, unit = source.unit
     true = (factor if unit == "°" else 1.0) * source.pairs.true[:, source.column]
-    every = slice(None, None, -(-len(true) // POINTS))
+    every, wild = slice(None, None, -(-len(true) // POINTS)), 0.0
     parts = [Line([np.min(true), np.max(true)], [0, 0], "", BLACK, 0.9, "dash")]
-    for name, colour, of in (("as measured", BEFORE, None), ("calibrated", BLUE, calibration)):
-        parts.append(Line(true[every], factor * source.errors(of)[every], name, colour, 0.0, marker="circle", size=3))
+    for name, colour, of in (("as measured", PALE, None), ("calibrated", BLUE, calibration)):
+        errors = factor * source.errors(of)
+        wild = max(wild, 1.2 * float(np.nanquantile(np.abs(errors), 0.99, method="higher")))
+        parts.append(Line(true[every], errors[every], name, colour, 0.0, marker="circle", size=3))
     labels = f"true {source.quantity} ({'°' if unit == '°' else 'm'})", f"error ({unit.strip()})"
     name = f"{source.table}-{source.name}-{source.quantity}"
-    return Chart(name, f"{source.name}: {source.quantity}", *labels, parts, robust=True)
+    return Chart(name, f"{source.name}: {source.quantity}", *labels, parts, ylim=(-wild, wild))
 
 
 def write_calibration_report(out: Path, calibration: Calibration, report: Report, command: Sequence[str]) -> Path:
@@ -198,9 +200,10 @@ def write_survey_page(out: Path, survey: Survey, command: Sequence[str]) -> Path
     """Writes the page beside the file `out`, with its name; returns its path."""
     drawn = np.flatnonzero(survey.half_widths[:, :2].max(axis=1) < 2.0).tolist()
     places, covs = survey.positions[drawn, :2], np.reshape([survey.block(k)[:2, :2] for k in drawn], (-1, 2, 2))
-    paths = [PlanPath("" if k else "walk", GREY, path[:, :2]) for k, path in enumerate(survey.paths)]
-    paths.append(PlanPath("", BLUE, np.full((1, 2), np.nan), places, covs, "95 % ellipse"))
-    chart = plan("survey", "Anchors with 95 % ellipses over the walks", paths, [], survey.rig)
+    walks = [path(walk, "" if k else "walk", GREY, 1.1) for k, walk in enumerate(survey.paths)]
+    found = path(ellipses(places, covs), "95 % ellipse", BLUE)
+    around = np.concatenate([walk[:, :2] for walk in survey.paths])
+    chart = plan("survey", "Anchors with 95 % ellipses over the walks", [*walks, found], around, survey.rig)
     summary = f"Positions and delays of {counted(len(survey.names), 'anchor')} without truth."
     notes = [f"{note[0].upper()}{note[1:]}." for note in survey.notes]
     table = Section("Anchors", survey.head, survey.rows(), 1, survey.reading, {survey.head[-1]: "long"}, [[chart]])

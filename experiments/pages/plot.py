@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import update_wrapper
 from html import escape
-from inspect import Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trackwright.experiments.pages.charts import recording as charts
-from trackwright.experiments.pages.charts.style import Chart
-from trackwright.experiments.pages.reports.pages import write_page
-from trackwright.experiments.pages.reports.track import NO_EVENTS, run_data, track_page
+import numpy as np
+
+from trackwright.experiments.pages import charts
+from trackwright.experiments.pages.chart import Chart, draw
+from trackwright.experiments.pages.report import write_page
 from trackwright.experiments.pages.scored_tracks import AnyEstimates, AnyRecording, scored_tracks
+from trackwright.experiments.pages.track import NO_EVENTS, run_data, track_page
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.rows import is_scored
@@ -26,42 +26,44 @@ HEIGHT = 900
 """Height of the page in a notebook, pixels; it scrolls."""
 
 
-def _plot(chart: Callable[..., Chart], truth: bool = True, bearings: bool = False) -> Callable[..., Axes]:
-    """The chart of estimates, or of several by name, and their recording, on the axes `ax` or new ones.
-
-    `truth`: whether it needs one; `bearings`: whether it can show them.
-    """
-
-    def plot(estimates: Any, recording: AnyRecording | None = None, *more: Any, ax: Any = None, **named: Any) -> Axes:
-        from trackwright.experiments.pages.charts.drawing import draw
-
-        several = isinstance(estimates, Mapping)
-        runs = {}
-        for name, run in (estimates if several else {"": estimates}).items():
-            runs[name] = scored = scored_tracks(run, recording, truth).recordings[0]
-            if scored.angles and not bearings:
-                raise UnusableInput(f"{chart.__name__}: found bearings; expected estimates of positions")
-            if truth and not scored.scored.any():
-                raise UnusableInput(f"{chart.__name__}: no estimate has a truth at its time")
-        return draw(chart(runs if several else runs[""], *more, **named), ax)
-
-    # The estimates and their recording take the place of the scored ones.
-    first, own = signature(plot).parameters, [*signature(chart).parameters.values()][1:]
-    shown = [first["estimates"], first["recording"], *own, first["ax"]]
-    setattr(update_wrapper(plot, chart), "__signature__", Signature(shown))  # noqa: B010
-    return plot
+def _plot(chart: Callable[..., Chart], estimates: Any, recording: AnyRecording | None, ax: Any, *more: Any) -> Axes:
+    """The chart of estimates, or of several by name, on the axes `ax` or new ones."""
+    several, runs, truth = isinstance(estimates, Mapping), {}, chart not in (charts.floor_plan, charts.nis_over_time)
+    for name, run in (estimates if several else {"": estimates}).items():
+        runs[name] = scored_tracks(run, recording, truth).recordings[0]
+        if truth and not np.isfinite(runs[name].miss).any():
+            raise UnusableInput(f"{chart.__name__}: no estimate has a truth at its time")
+    return draw(chart(runs if several else runs[""], *more), ax)
 
 
-floor_plan = _plot(charts.floor_plan, truth=False)
-error_over_time = _plot(charts.error_over_time)
-error_cdf = _plot(charts.error_cdf, bearings=True)
-coverage = _plot(charts.coverage, bearings=True)
-nees_over_time = _plot(charts.nees_over_time)
-nis_over_time = _plot(charts.nis_over_time, truth=False, bearings=True)
-nis_histogram = _plot(charts.nis_histogram, truth=False, bearings=True)
-bearing_over_time = _plot(charts.bearing_over_time, truth=False, bearings=True)
+def floor_plan(estimates: Any, recording: Any = None, tags: Sequence[str] = (), ax: Any = None) -> Axes:
+    """The paths over the floor with truth, installation and some 95 % ellipses; `tags`: those drawn, at most six."""
+    return _plot(charts.floor_plan, estimates, recording, ax, tags)
 
-__all__ = [*(name for name, value in globals().items() if hasattr(value, "__wrapped__")), "Playback", "playback"]
+
+def error_over_time(estimates: Any, recording: Any = None, tag: str | None = None, ax: Any = None) -> Axes:
+    """The horizontal error of a tag, by default the worst, over time, with its reported standard deviation."""
+    return _plot(charts.error_over_time, estimates, recording, ax, tag)
+
+
+def error_cdf(estimates: Any, recording: Any = None, ax: Any = None) -> Axes:
+    """The distribution function of the errors; of several runs by name, a curve each."""
+    return _plot(charts.error_cdf, estimates, recording, ax)
+
+
+def coverage(estimates: Any, recording: Any = None, ax: Any = None) -> Axes:
+    """The share of the truth inside the reported ellipses against their level; of several runs a curve each."""
+    return _plot(charts.coverage, estimates, recording, ax)
+
+
+def nees_over_time(estimates: Any, recording: Any = None, ax: Any = None) -> Axes:
+    """The NEES per degree of freedom over time with its band."""
+    return _plot(charts.nees_over_time, estimates, recording, ax)
+
+
+def nis_over_time(estimates: Any, recording: Any = None, ax: Any = None) -> Axes:
+    """The NIS per degree of freedom over time with its band."""
+    return _plot(charts.nis_over_time, estimates, recording, ax)
 
 
 @dataclass(frozen=True)

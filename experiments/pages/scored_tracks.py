@@ -17,11 +17,9 @@ from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.data.seconds import zero_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.bounds import bounds_of
 from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
-from trackwright.trackers.evaluation.metrics import metrics, sums
-from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, is_scored, scored_rows, wrapped
+from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, scored_rows, wrapped
 from trackwright.trackers.recordings.columns import float_column, run_starts
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, first_time
@@ -34,7 +32,7 @@ AnyEstimates = Tracks | Estimates
 AnyRecording = RecordingFolder | Recording
 
 DRAWN = 4
-"""The most recordings with figures and a Cramér–Rao bound, and the most tracks of bearings with figures."""
+"""The most recordings with figures."""
 
 
 class Component(NamedTuple):
@@ -51,14 +49,12 @@ class Component(NamedTuple):
 class ScoredRecording:
     """The estimates of one recording with their errors, its `scored_rows`.
 
-    `student_t_dof`: of the noise behind the NIS; None for normal noise, NaN where no tracker is known. `batches`: the
-    trajectories, for their bound; none where it is not asked for.
+    `student_t_dof`: of the noise behind the NIS; None for normal noise, NaN where it is not known.
     """
 
     folder: RecordingFolder
     rows: pl.DataFrame
     student_t_dof: float | None
-    batches: Sequence[TrackerBatch] = ()
 
     def columns(self, *names: str) -> np.ndarray:
         """Columns of the table (n, k); NaN where a value is missing."""
@@ -69,29 +65,10 @@ class ScoredRecording:
         """The times (n,) of the rows, s."""
         return float_column(self.rows, "t_s")
 
-    @cached_property
-    def scored(self) -> np.ndarray:
-        """Mask (n,) of the rows with both an estimate and a truth."""
-        return is_scored(self.rows)
-
     @property
     def angles(self) -> bool:
         """Whether the estimates are bearings."""
         return is_bearing(self.rows)
-
-    @cached_property
-    def sigmas(self) -> np.ndarray:
-        """The reported standard deviations (n, 3), m, or of bearings (n, 2), rad; NaN for a known height."""
-        sigmas = self.columns(*(f"std_{name}" for name in (ANGLES if self.angles else AXES)))
-        return np.where(sigmas == 0, np.nan, sigmas)
-
-    @cached_property
-    def errors(self) -> np.ndarray:
-        """The errors, with shape and unit of `sigmas`; NaN for a known height and in rows that are not scored."""
-        errors = self.columns(*(f"error_{name}" for name in (ANGLES if self.angles else AXES)))
-        if not self.angles:
-            errors[~(self.sigmas[:, 2] > 0), 2] = np.nan
-        return errors
 
     @cached_property
     def miss(self) -> np.ndarray:
@@ -119,37 +96,21 @@ class ScoredRecording:
 
         Heights without a standard deviation, as known ones, are left out.
         """
-        errors, sigmas = self.errors, self.sigmas
+        names = ANGLES if self.angles else AXES
+        values, errors, sigmas = (self.columns(*(kind + name for name in names)) for kind in ("", "error_", "std_"))
+        sigmas[sigmas == 0] = np.nan
         if not self.angles:
-            numbers = zip("xyz", self.columns(*AXES).T, errors.T, sigmas.T, strict=True)
-            components = [Component(axis, "m", *values) for axis, *values in numbers]
-            return components if np.isfinite(sigmas[:, 2]).any() else components[:2]
-        names, angles = ["azimuth", "elevation"], self.columns(*ANGLES)
-        known = angles[np.isfinite(angles[:, 0]), 0]
+            errors[np.isnan(sigmas[:, 2]), 2] = np.nan
+            count = 2 + bool(np.isfinite(sigmas[:, 2]).any())
+            return [Component("xyz"[k], "m", values[:, k], errors[:, k], sigmas[:, k]) for k in range(count)]
+        words, known = ["azimuth", "elevation"], values[np.isfinite(values[:, 0]), 0]
         # In the plane of a flat array each azimuth is ± 90°.
         if len(known) and in_plane(known).all():
-            shown, true = (np.arctan2(np.sin(b), np.sin(a) * np.cos(b)) for a, b in (angles.T, (angles - errors).T))
-            errors, names = wrapped(shown - true)[:, None], ["in-plane angle"]
-            angles, sigmas = shown[:, None], sigmas[:, 1:]
-        parts = (np.degrees(part).T for part in (angles, errors, sigmas))
-        return [Component(name, "°", *numbers) for name, *numbers in zip(names, *parts, strict=True)]
-
-    def nees_by_shape(self) -> dict[str, tuple[np.ndarray, int]]:
-        """NEES (n,) and its degrees of freedom: of horizontal and 3-D positions, of both angles or of the only one."""
-        if self.angles and len(parts := self.components()) == 1:
-            return {parts[0].name: ((parts[0].errors / parts[0].sigmas) ** 2, 1)}
-        flat, space = (float_column(self.rows, name) for name in ("nees", "nees_3d"))
-        return {"both angles": (flat, 2)} if self.angles else {"horizontal": (flat, 2), "3-D": (space, 3)}
-
-    @property
-    def is_covered(self) -> bool:
-        """Whether some row has a truth beside its ellipse."""
-        return any(np.isfinite(nees).any() for nees, _ in self.nees_by_shape().values())
-
-    @cached_property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Times (t,), s, and Cramér–Rao bounds (t, 3), m, on the standard deviations; None without."""
-        return bounds_of(self.folder, self.batches) if not self.angles and self.scored.any() else None
+            shown, true = (np.arctan2(np.sin(b), np.sin(a) * np.cos(b)) for a, b in (values.T, (values - errors).T))
+            values, errors, sigmas = shown[:, None], wrapped(shown - true)[:, None], sigmas[:, 1:]
+            words = ["in-plane angle"]
+        parts = (np.degrees(part).T for part in (values, errors, sigmas))
+        return [Component(name, "°", *of) for name, *of in zip(words, *parts, strict=True)]
 
     def rows_of(self, track: int) -> slice:
         """The rows of a track by its number."""
@@ -167,29 +128,24 @@ class ScoredRecording:
 
 @dataclass(frozen=True)
 class ScoredTracks:
-    """The `scored_rows` of all recordings; `batches`: the trajectories, for their bounds."""
+    """The `scored_rows` of all recordings; `batches`: their trajectories with the trackers."""
 
     rows: pl.DataFrame
     folders: Sequence[RecordingFolder]
     batches: Sequence[TrackerBatch]
-
-    @property
-    def bearing(self) -> bool:
-        """Whether the estimates are bearings, not positions."""
-        return is_bearing(self.rows)
 
     @cached_property
     def drawn(self) -> dict[int, str]:
         """The numbers of the recordings with figures, and why these: all, or the worst, the median and the best."""
         names = self.rows["recording"].unique(maintain_order=True)
         rmse = dict(zip(names, rmse_by(self.rows, "recording"), strict=True))
-        return drawn_of(np.array([rmse.get(folder.name, np.nan) for folder in self.folders]), self.bearing)
+        return drawn_of(np.array([rmse.get(of.name, np.nan) for of in self.folders]), is_bearing(self.rows))
 
     @cached_property
     def recordings(self) -> list[ScoredRecording]:
-        """Each recording with its rows; those with figures with what their bounds need."""
+        """Each recording with its rows."""
         made = []
-        for k, folder in enumerate(self.folders):
+        for folder in self.folders:
             own = (one.tracker for one in self.batches if any(part.folder is folder for part in one.trajectories))
             rows = self.rows.filter(pl.col("recording") == folder.name)
             try:
@@ -197,21 +153,14 @@ class ScoredTracks:
                 nu = math.nan if tracker is None else student_t_dof_of(tracker)
             except ValueError:
                 nu = math.nan
-            nu = None if nu is None else float(np.asarray(nu))
-            made.append(ScoredRecording(folder, rows, nu, self.batches if k in self.drawn else ()))
+            made.append(ScoredRecording(folder, rows, None if nu is None else float(np.asarray(nu))))
         return made
 
 
 def rmse_by(rows: pl.DataFrame, key: str) -> np.ndarray:
     """The RMSE of each group of rows, horizontal in m or of the direction in rad; NaN without truth."""
-    name = main_size(rows).replace("size", "rmse")
-    return float_column(metrics(sums(rows, key, of=[name])), name)
-
-
-def root_mean_square(errors: np.ndarray) -> float:
-    """The root mean square of the errors (n,) that are finite; NaN where none is."""
-    known = errors[np.isfinite(errors)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+    rmse = (pl.col(main_size(rows)) ** 2).mean().sqrt()
+    return float_column(rows.group_by(key, maintain_order=True).agg(rmse=rmse), "rmse")
 
 
 def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth: bool = False) -> ScoredTracks:

@@ -11,8 +11,8 @@ import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import Study, short
 from trackwright.experiments.monte_carlo.results import NAMES, Results
-from trackwright.experiments.pages.charts.style import LINES, Chart, Line, band, is_logarithmic
-from trackwright.experiments.pages.reports.pages import report_page, typed
+from trackwright.experiments.pages.chart import LINES, Chart, Line, band, is_logarithmic
+from trackwright.experiments.pages.report import report_page, typed
 from trackwright.experiments.text.expectations import (
     Claim,
     Conclusion,

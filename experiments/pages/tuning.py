@@ -13,9 +13,8 @@ import numpy as np
 import polars as pl
 from markupsafe import Markup
 
-from trackwright.experiments.pages.charts import style
-from trackwright.experiments.pages.charts.style import Chart, Line, band, is_logarithmic
-from trackwright.experiments.pages.reports.pages import report_page
+from trackwright.experiments.pages.chart import BLUE, LINES, PALE, VERMILION, Chart, Line, band, is_logarithmic, write
+from trackwright.experiments.pages.report import report_page
 from trackwright.experiments.text.tables import Section, sections_text
 from trackwright.experiments.text.wording import MISSING, SHOWN, duration, fixed, length_unit, number, yes_no
 from trackwright.trackers.catalogue import spec_of
@@ -312,7 +311,7 @@ def objective_chart(traces: Sequence[Trace], title: str) -> Chart:
     last = int(np.flatnonzero(np.isfinite(traces[0].objective))[-1])
     words, parts = {0: "best start", 1: "other starts"} if len(traces) > 1 else {}, []
     for k, trace in reversed([*enumerate(traces)]):
-        colour, width = (style.PALE, 1.1) if k else (style.BLUE, 1.8)
+        colour, width = (PALE, 1.1) if k else (BLUE, 1.8)
         parts.append(Line(np.arange(len(trace.objective)), trace.objective, words.get(k, ""), colour, width))
     end = float(traces[0].objective[last])
     parts.append(Line([last], [end], f"selected: {number(end)}", width=0, marker="circle"))
@@ -336,8 +335,8 @@ def sweep_chart(swept: Sweep, objective: str) -> Chart:
         parts.append(band(grid, *ends, "± standard deviation over repeats"))
     for k, values in enumerate(mean.reshape(len(grid), -1).T):
         name = f"{swept.parameters[1].label} {swept.grids[1][k]:.4g}" if mean.ndim > 1 else ""
-        parts.append(Line(grid, values, name, style.LINES[k % len(style.LINES)], marker="circle", size=3.5))
-    parts.append(Line([grid[at[0]]], [mean[at]], "minimum", style.VERMILION, 0.0, marker="circle", size=8))
+        parts.append(Line(grid, values, name, LINES[k % len(LINES)], marker="circle", size=3.5))
+    parts.append(Line([grid[at[0]]], [mean[at]], "minimum", VERMILION, 0.0, marker="circle", size=8))
     unit, title = swept.parameters[0].example.unit, f"{objective}: minimum {mean[at]:.5g} at {', '.join(words)}"
     label = swept.parameters[0].label + ("" if unit in ("", "1") else f" ({unit})")
     return Chart("sweep", title, label, objective, parts, log="x" * is_logarithmic(grid), height=3.6)
@@ -345,6 +344,4 @@ def sweep_chart(swept: Sweep, objective: str) -> Chart:
 
 def sweep_plot(path: Path, swept: Sweep, objective: str) -> Path:
     """Writes the chart of a sweep; returns the path. Raises UnusableInput where the file can't be written."""
-    from trackwright.experiments.pages.charts.drawing import write
-
     return write(sweep_chart(swept, objective), path)

@@ -118,21 +118,18 @@ def headline(numbers: Iterable[tuple[str, bool | None]], conclusions: Iterable[t
     `numbers`: origin, and whether the number is reached, None where it is not judged. `conclusions`: origin, and
     whether they hold.
     """
-    judged, stated, sentences = (
-        [n for n in numbers if n[1] is not None or n[0] == Origin.DERIVED],
-        list(conclusions),
-        [],
-    )
+    numbers, conclusions, sentences = list(numbers), list(conclusions), []
     for origin in reversed(Origin):
-        ours, held = ([bool(true) for of, true in claims if of == origin] for claims in (judged, stated))
-        parts = [counted(len(ours), "number")] * bool(ours) + [counted(len(held), "conclusion")] * bool(held)
-        if origin is Origin.DERIVED:
+        derived = origin is Origin.DERIVED
+        ours = [bool(true) for of, true in numbers if of == origin and (derived or true is not None)]
+        held = [true for of, true in conclusions if of == origin]
+        counts = counted(len(ours), "number"), counted(len(held), "conclusion")
+        if derived:
+            parts = [count for count, of in zip(counts, (ours, held), strict=True) if of]
             sentences += [f"Derived, not counted: {', '.join(parts)}."] if parts else []
             continue
-        if ours:
-            parts[0] = f"{sum(ours)} of {parts[0]} within tolerance"
-        if held:
-            parts[-1] = f"{sum(held)} of {parts[-1]} {'holds' if sum(held) == 1 else 'hold'}"
+        parts = [f"{sum(ours)} of {counts[0]} within tolerance"] if ours else []
+        parts += [f"{sum(held)} of {counts[1]} {'holds' if sum(held) == 1 else 'hold'}"] if held else []
         if parts or origin is Origin.PREDICTED:
             sentences.append(f"{origin.capitalize()}: {'; '.join(parts) or 'nothing'}.")
     return " ".join(sentences)

@@ -66,19 +66,14 @@ def stages(what: str) -> Iterator[Begin]:
         interval = FIRST_LINE
         while not ended.wait(interval):
             for task in bars.tasks[-1:]:
-                seconds, (now, count) = (
-                    f"{monotonic() - since[0]:.0f} s",
-                    (task.fields[key] for key in ("now", "count")),
-                )
-                words = f"{task.description} {count}".rstrip(), seconds, now
-                ERRORS.print(f"{what}: {', '.join(filter(None, words))}", markup=False)
+                words = f"{task.description} {task.fields['count']}".rstrip(), f"{monotonic() - since[0]:.0f} s"
+                ERRORS.print(f"{what}: {', '.join(filter(None, (*words, task.fields['now'])))}", markup=False)
             interval = min(2 * interval, LAST_INTERVAL)
 
-    watch = Thread(target=lines, daemon=True)
     try:
         with bars, redirect_stdout(printed) if terminal else nullcontext():
             if not terminal:
-                watch.start()
+                Thread(target=lines, daemon=True).start()
             yield begin
     finally:
         ended.set()

@@ -36,11 +36,11 @@ class Unit(NamedTuple):
         return {"m": 3, "cm": 1}.get(self.name, 2)
 
 
-NO_UNIT, DEGREES = Unit("", 1.0), Unit("°", 180 / math.pi)
-SHOWN = {"%": Unit("%", 100.0), "rad": DEGREES, "m²": Unit("cm²", 1e4), "rows": NO_UNIT}
+NO_UNIT = Unit("", 1.0)
+SHOWN = {"%": Unit("%", 100.0), "rad": Unit("°", 180 / math.pi), "m²": Unit("cm²", 1e4), "rows": NO_UNIT}
 """The units in which metrics are shown, by those in which they are stored."""
 
-SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0), "nats": (1.0, 2), "rad": (DEGREES.factor, 2)}
+SCALES = {"%": (100.0, 0), "": (1.0, 2), "s": (1.0, 1), "rows": (1.0, 0), "nats": (1.0, 2), "rad": (180 / math.pi, 2)}
 """Factor and digits in tables of metrics that are no lengths, by the units in which they are stored."""
 
 
@@ -80,8 +80,7 @@ def units_of(values: Mapping[str, Sequence[float]]) -> dict[str, Unit]:
 def heading(metric: str, unit: Unit = NO_UNIT, space: str = " ") -> str:
     """A metric's name in words, with the unit where it has one."""
     ending = next((ending for ending in SUFFIXES if metric.endswith(f"_{ending}")), "")
-    stem = metric.removesuffix(f"_{ending}").split("_")
-    own = " ".join("RMSE" if word == "rmse" else word for word in stem) + f" {SUFFIXES.get(ending, '')}"
+    own = f"{metric.removesuffix(f'_{ending}').replace('_', ' ').replace('rmse', 'RMSE')} {SUFFIXES.get(ending, '')}"
     words = METRICS[metric].words if metric in METRICS else STUDIES.get(metric, own.strip())
     return words + (f",{space}{unit.name}" if unit.name else "")
 
@@ -111,10 +110,8 @@ def rounded(value: float, spread: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Seconds, minutes or hours with one digit after the point."""
-    if seconds < 120:
-        return f"{seconds:.1f} s"
-    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+    """Seconds or minutes with one digit after the point."""
+    return f"{seconds:.1f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
 
 
 def figures_drawn(names: Sequence[str]) -> str:

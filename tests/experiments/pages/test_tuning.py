@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import trackwright as tw
-from trackwright.experiments.pages.charts.drawing import draw
+from trackwright.experiments.pages.chart import draw
 from trackwright.experiments.pages.tuning import (
     Compared,
     Trace,

@@ -13,7 +13,7 @@ from scipy.stats import chi2, multivariate_normal
 
 import trackwright as tw
 from tests.trackers.evaluation.tables import evaluate_table
-from trackwright.experiments.text.evaluation_text import to_json, to_text
+from trackwright.experiments.text.tables import to_json, to_text
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.evaluation.evaluate import evaluate, rows_of, violation

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,10 +11,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.pages.charts.recording import page_charts
-from trackwright.experiments.pages.charts.residuals import residuals
-from trackwright.experiments.pages.charts.style import numbers
-from trackwright.experiments.pages.reports.pages import drawn_rows, drawn_tracks, packed, page, write_page
+from trackwright.experiments.pages.chart import numbers
+from trackwright.experiments.pages.charts import coverage, error_cdf, residual_charts, residuals
+from trackwright.experiments.pages.report import page, write_page
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks
 from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import SCALES, fixed, shown_metric
@@ -150,7 +150,7 @@ def recording_data(
     ]
     source, sources = _sources(recording, of_chosen[drawn])
     columns = _columns(recording, of_chosen[drawn], start, origin) | {"source": source}
-    (tags, found), bounds = residuals(recording), recording.bounds
+    tags, found = residuals(recording)
     every = max(1, -(-sum(len(one.times) for one in found) // most_points))
     channels = [
         {"name": one.name, "unit": one.unit, "sources": one.sources, "points": _packed({
@@ -159,20 +159,51 @@ def recording_data(
         for one in found
     ]  # fmt: skip
     axes = [
-        {"name": c.name, "unit": c.unit, "value": f"v{k}", "error": f"e{k}", "sigma": f"s{k}", "bound": f"b{k}"}
+        {"name": c.name, "unit": c.unit, "value": f"v{k}", "error": f"e{k}", "sigma": f"s{k}"}
         for k, c in enumerate(recording.components())
     ]
-    limits = None if bounds is None else {"t": bounds[0] - start} | {f"b{k}": bounds[1][:, k] for k in range(3)}
+    charts = [*residual_charts(found), *([error_cdf(recording)] if np.isfinite(recording.miss).any() else [])]
+    charts += [coverage(recording)] if np.isfinite(float_column(recording.rows, "nees")).any() else []
     return {
         "name": folder.name, "start": start - recording.zero, "end": end - recording.zero,
         "timeLabel": time_label(recording.zero), "origin": origin.tolist(), "angles": angles, "rows": len(times),
         "drawn": len(drawn), "trackCount": len(lengths), "tracks": tracks, "axes": axes, "columns": _packed(columns),
         "statuses": STATUSES, "sources": sources, "nisBand": _nis_band(recording), "events": happened[:MOST_EVENTS],
         "eventCount": len(events), "rig": _rig(folder.rig, origin),
-        "bounds": limits and _packed(limits, max(1, len(limits["t"]) // 2000)),
-        "residuals": {"tags": tags, "every": every, "channels": channels},
-        "charts": [chart.plotly() for chart in page_charts(recording, found)],
+        "residuals": {"tags": tags, "every": every, "channels": channels}, "charts": [one.plotly() for one in charts],
     }  # fmt: skip
+
+
+def drawn_tracks(worst_first: list[int], most: int) -> list[int]:
+    """The numbers of the tracks that are drawn, ascending: all, or evenly over the ranks from the worst to the best."""
+    if len(worst_first) <= most:
+        return sorted(worst_first)
+    return sorted({worst_first[k] for k in np.linspace(0, len(worst_first) - 1, most).round().astype(int)})
+
+
+def drawn_rows(lengths: np.ndarray, weight: np.ndarray, most: int) -> np.ndarray:
+    """The rows that are drawn, ascending: all, or the first, the last and those with the largest weight of each block.
+
+    Blocks of equal length; `lengths` (g,): rows of each track; `weight` (n,): the size of the error, NaN as zero. About
+    `most` rows, two of each block at least.
+    """
+    n = int(lengths.sum())
+    if n <= most:
+        return np.arange(n)
+    size = -(-2 * n // max(most - 2 * len(lengths), 2))
+    first = np.cumsum(lengths) - lengths
+    within = np.arange(n) - np.repeat(first, lengths)
+    begins = np.flatnonzero(within % size == 0)
+    block = np.repeat(np.arange(len(begins)), np.diff(np.append(begins, n)))
+    order = np.lexsort((-np.nan_to_num(weight), block))
+    return np.unique(np.concatenate([begins, order[begins], first + lengths - 1]))
+
+
+def packed(values: np.ndarray, kind: str = "f4") -> dict[str, str]:
+    """An array (n,) as plotly.js takes typed arrays: its kind, as `f4`, and its bytes in base64."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        array = np.ascontiguousarray(values, np.dtype(kind).newbyteorder("<"))
+    return {"dtype": kind, "bdata": base64.b64encode(array.tobytes()).decode("ascii")}
 
 
 def _packed(columns: Mapping[str, np.ndarray], every: int = 1) -> dict[str, dict[str, str]]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import polars as pl
 
+from trackwright.experiments.pages.comparison import Run
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.evaluation.rows import scored_rows
@@ -69,14 +72,8 @@ def small_bearings(in_plane: bool, rows: int = 60) -> tuple[ScoredTracks, np.nda
         place = np.stack([np.sin(angle) * np.cos(rise), np.sin(rise), np.cos(angle) * np.cos(rise)], axis=1)
         azimuth, elevation, sigmas = np.angle(np.exp(1j * estimate[:, 0])), estimate[:, 1], tuple(sigma)
     table = pl.DataFrame(
-        {
-            "recording": "yard",
-            "tag": "A",
-            "station": "S",
-            "t_s": times,
-            "azimuth_rad": azimuth,
-            "elevation_rad": elevation,
-        }
+        {"recording": "yard", "tag": "A", "station": "S", "t_s": times}
+        | {"azimuth_rad": azimuth, "elevation_rad": elevation}
         | {"std_azimuth_rad": sigmas[0], "std_elevation_rad": sigmas[1], "status": "ok"}
         | {"nis": rng.chisquare(2, rows), "nis_dof": 2.0},
         schema_overrides={"std_azimuth_rad": pl.Float64},
@@ -89,3 +86,12 @@ def small_bearings(in_plane: bool, rows: int = 60) -> tuple[ScoredTracks, np.nda
         np.degrees(estimate),
         np.degrees(true),
     )
+
+
+def small_run(name: str, shifts: dict[str, float]) -> Run:
+    """A run whose error in x, m, is that of each recording."""
+    times = 0.1 * np.arange(30)
+    at = {"tag": "1", "t_s": times, "x_m": times, "y_m": times**2, "z_m": 1.0}
+    spread = {"std_x_m": 0.1, "std_y_m": 0.1, "std_z_m": 0.0, "cov_xy_m2": 0.0, "nis": 1.0, "nis_dof": 1.0}
+    tables = (pl.DataFrame({"recording": k} | at | spread).with_columns(pl.col("x_m") + s) for k, s in shifts.items())
+    return Run(name, Path(name), {}, rows=scored_rows(pl.concat(tables), dict.fromkeys(shifts, pl.DataFrame(at))))

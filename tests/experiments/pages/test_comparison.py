@@ -7,7 +7,7 @@ import pytest
 from trackwright.experiments.cli.options import EvaluateOptions, PoseOptions
 from trackwright.experiments.cli.track import evaluate_tracks
 from trackwright.experiments.lab.papers.reproduce import evidence, part, tables
-from trackwright.experiments.pages.reports.comparison import Run, comparison, read_runs
+from trackwright.experiments.pages.comparison import Run, comparison, read_runs
 from trackwright.experiments.text.expectations import Value
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -62,7 +62,12 @@ def test_studies_without_a_difference_differ_in_5_percent_of_tables(tmp_path):
         differ = 0
         for _ in range(tables):
             runs = [
-                Run(name, tmp_path, {("world", f"m{k}"): Value(x, x - 1.96, x + 1.96) for k, x in enumerate(values)})
+                Run(
+                    name,
+                    tmp_path,
+                    {("w", f"m{k}"): Value(x, x - 1.96, x + 1.96) for k, x in enumerate(values)},
+                    "studies",
+                )
                 for name, values in zip("ab", rng.normal(size=(2, metrics)), strict=True)
             ]
             differ += any(one.differs for one in comparison(runs)[1])
@@ -121,19 +126,6 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
             evaluate_tracks(*runs)
     with pytest.raises(UnusableInput, match="2 runs to compare; expected no option but --json and --out"):
         evaluate_tracks(study, other, options=EvaluateOptions(fail_if="rmse_m>1"))
-
-
-def test_without_an_output_folder_a_comparison_writes_nothing(tmp_path, capsys):
-    folders = [_study(tmp_path / name, 0.1) for name in "ab"]
-    before = sorted(tmp_path.rglob("*"))
-    assert evaluate_tracks(*folders) == 0
-    assert "RMSE" in capsys.readouterr().out
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_studies_with_metrics_of_their_own_alone_are_compared_by_these(tmp_path):
-    folders = [_study(tmp_path / name, speed, metric="speed") for name, speed in (("a", 0.1), ("b", 0.2))]
-    assert list(_contrasts(*folders)) == [("b", "speed")]
 
 
 def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():

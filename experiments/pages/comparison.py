@@ -13,20 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import polars as pl
 from markupsafe import Markup
 
 from trackwright.experiments.monte_carlo.declaration import short
-from trackwright.experiments.pages.charts.distributions import Curve, distribution
-from trackwright.experiments.pages.charts.floor import plan, track_paths, true_path
-from trackwright.experiments.pages.charts.residuals import boxes
-from trackwright.experiments.pages.charts.style import LINES, Chart, Line
-from trackwright.experiments.pages.reports.pages import report_page, typed, write_page
-from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of, rmse_by
-from trackwright.experiments.text.evaluation_text import COLUMNS, cells, title_of
+from trackwright.experiments.pages.chart import Chart
+from trackwright.experiments.pages.charts import coverage, error_cdf
+from trackwright.experiments.pages.report import report_page, typed, write_page
 from trackwright.experiments.text.expectations import Value, with_interval
-from trackwright.experiments.text.tables import Section
+from trackwright.experiments.text.tables import COLUMNS, Section, cells, title_of
 from trackwright.experiments.text.wording import (
     MISSING,
     SHOWN,
@@ -38,7 +33,7 @@ from trackwright.experiments.text.wording import (
     yes_no,
 )
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.evaluation.comparison import Difference, holm, main_size, paired_differences
+from trackwright.trackers.evaluation.comparison import Difference, holm, paired_differences
 from trackwright.trackers.evaluation.metrics import METRICS
 from trackwright.trackers.evaluation.rows import is_scored, scored_rows
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
@@ -47,8 +42,6 @@ from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, rea
 
 RESULTS = "results.json"
 LEVEL, WIDTH = 0.05, 150
-MOST_PLANS, MOST_TAGS = 3, 4
-"""Recordings with floor plans, of more the worst, the median and the best by the first run; and tags of a plan."""
 
 Key = tuple[str, str]
 """A subject and a metric: a recording, or the world, point and tracker of a study; "" for all recordings."""
@@ -58,15 +51,13 @@ Key = tuple[str, str]
 class Run:
     """A study, or tracks of recordings: its metrics by subject and name, with intervals where they are known.
 
-    `bearing`: whether tracks are of bearings. `recordings`: the tracked ones, by name; None of a study. `rows`: the
-    `scored_rows`, None of a study, and where no recording with truth can be read.
+    `kind`: studies, positions or bearings. `rows`: the `scored_rows` of tracks with truth.
     """
 
     name: str
     folder: Path
     metrics: Mapping[Key, Value]
-    bearing: bool = False
-    recordings: Mapping[str, RecordingFolder] | None = None
+    kind: str = "positions"
     rows: pl.DataFrame | None = None
 
     def of(self, subject: str) -> dict[str, float]:
@@ -114,13 +105,12 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[str]]:
     for name, folder, (kind, metrics) in zip(next(x for x in names if len({*x}) == len(x)), folders, read, strict=True):
         kept = truths and (folder / TRACKS).is_file()
         rows = scored_rows(read_tracks(folder), truths, stations) if kept else None
-        rows = None if rows is None or not is_scored(rows).any() else rows
-        runs.append(Run(name, folder, metrics, kind == "bearings", None if kind == RESULTS else known, rows))
+        runs.append(Run(name, folder, metrics, kind, None if rows is None or not is_scored(rows).any() else rows))
     return runs, notices
 
 
 def _read(folder: Path) -> tuple[str, dict[Key, Value]]:
-    """What a folder holds, a study's results, positions or bearings, and the metrics; raises UnusableInput."""
+    """What a folder holds, studies, positions or bearings, and the metrics; raises UnusableInput."""
     name = next((name for name in (RESULTS, EVALUATION) if (folder / name).is_file()), None)
     if name is None:
         fix = "expected a folder of `trackwright study` or `trackwright track`"
@@ -129,7 +119,7 @@ def _read(folder: Path) -> tuple[str, dict[Key, Value]]:
     try:
         content = json.loads(file_bytes(folder / name))
         if name == RESULTS:
-            return name, dict(_of_study(content))
+            return "studies", dict(_of_study(content))
         rows = {"": content["overall"]} | {str(row["recording"]): row for row in content["recordings"]}
         metrics = {
             (subject, key): Value(float(value), math.nan, math.nan)
@@ -155,17 +145,16 @@ def _of_study(content: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
 def comparison(runs: Sequence[Run]) -> tuple[list[Section], list[Contrast]]:
     """The tables of a comparison and the contrasts behind them; raises UnusableInput without a common metric."""
     first, *others = runs
-    if first.recordings is None:
+    if first.kind == "studies":
         found = [one for run in others for one in _independent(first, run)]
-        main = [one for one in found if one.metric in METRICS and METRICS[one.metric].page]
-        contrasts = adjusted(main or found)
+        contrasts = adjusted([one for one in found if one.metric in METRICS and METRICS[one.metric].page] or found)
         if not contrasts:
             names = " and ".join(str(run.folder) for run in runs)
             raise UnusableInput(f"{names} have no metric of the same world and tracker in common")
         return [_table_of_studies(runs, contrasts)], contrasts
     contrasts = adjusted([one for run in others for one in _paired(first, run)])
     sizes = [run.metrics["", "rmse_m"].value for run in runs if ("", "rmse_m") in run.metrics]
-    unit = SHOWN["rad"] if first.bearing else length_unit(min(sizes, default=math.nan))
+    unit = SHOWN["rad"] if first.kind == "bearings" else length_unit(min(sizes, default=math.nan))
     table = _table_of_tracks(runs, unit)
     return [table, *([difference_table(first.name, contrasts, unit)] if contrasts else [])], contrasts
 
@@ -206,7 +195,7 @@ def _table_of_tracks(runs: Sequence[Run], unit: Unit) -> Section:
     columns = [column for column in main if any(shown_metric(of, column.name) is not None for *_, of in shown)]
     rows = [[subject or "all recordings", run.name, *cells(of, columns, unit)] for subject, run, of in shown]
     spatial = " and 3-D" * any("_3d" in column.name for column in columns)
-    what = "Bearing" if runs[0].bearing else f"Horizontal{spatial} position"
+    what = "Bearing" if runs[0].kind == "bearings" else f"Horizontal{spatial} position"
     head = ("recording", "run", *(title_of(column).replace("\n", " ").strip() for column in columns))
     return Section(f"{what} errors in {unit.name}", head, rows, 2)
 
@@ -237,8 +226,7 @@ def _table_of_studies(runs: Sequence[Run], contrasts: Sequence[Contrast]) -> Sec
     for contrast in contrasts:
         d, unit = contrast.difference, unit_of(contrast.metric, [contrast.difference.first])
         key = contrast.subject, contrast.metric
-        both = [run.metrics[key] for run in runs if run.name in (runs[0].name, contrast.run)]
-        shown = [with_interval(value, unit) for value in both]
+        shown = [with_interval(run.metrics[key], unit) for run in runs if run.name in (runs[0].name, contrast.run)]
         ratio = f"{d.second / d.first:.3f}" if d.first else MISSING
         words = [contrast.subject, heading(contrast.metric, unit), contrast.run]
         rows.append([*words, *shown, ratio, yes_no(contrast.differs)])
@@ -258,61 +246,15 @@ def lone_subjects(runs: Sequence[Run]) -> list[str]:
 
 
 def comparison_charts(runs: Sequence[Run]) -> list[Chart]:
-    """The charts of the page, and of the files where these are asked for."""
-    tracks = [run for run in runs if run.rows is not None]
-    if not tracks:
-        return []
-    # The tail of one run alone shall not set the axis.
-    p95, p99 = (sorted(float(np.quantile(all_errors(run), share)) for run in tracks) for share in (0.95, 0.99))
-    furthest = 1.02 * max(p95[-1], p99[-2:][0])
-    unit, curves, groups = SHOWN["rad"] if tracks[0].bearing else length_unit(furthest / 2), list[Curve](), list[Line]()
-    what, end = "angle to the true direction" if tracks[0].bearing else "horizontal error", unit.factor * furthest
-    quantity = f"{what} ({unit.name})"
-    for k, run in enumerate(tracks):
-        own, colour = unit.factor * all_errors(run), LINES[k % len(LINES)]
-        beyond = 100 * np.mean(own > end)
-        curves.append(Curve.of(run.name + (f", {beyond:.1f} % beyond" if beyond >= 0.1 else ""), own))
-        groups += boxes([own[:0]] * k + [own], "", colour)
-        groups.append(Line([k], [np.sqrt(np.mean(own**2))], "", colour, 0.0, marker="diamond", size=7))
-    names, words = {k: run.name for k, run in enumerate(tracks)}, "box: quartiles, strokes: 5 and 95 %, diamond: RMSE"
-    distributions = distribution("errors", "Distribution of errors", curves, quantity, end)
-    wide = -0.7, len(names) - 0.3
-    compared = Chart("boxes", "Boxes of errors", words, quantity, groups, wide, (0.0, end), xticks=names)
-    return [distributions, compared, *_plans([run for run in tracks if not run.bearing])]
-
-
-def all_errors(run: Run) -> np.ndarray:
-    """The sorted horizontal errors, m, of all tracks, or the angles, rad, of bearings."""
-    assert run.rows is not None
-    return np.sort(run.rows[main_size(run.rows)].drop_nulls().to_numpy())
-
-
-def _plans(runs: Sequence[Run]) -> Iterator[Chart]:
-    """Floor plans of some recordings by each run, in its colour, around the truth: the worst run sets no axes."""
-    scored = [run.rows.filter(pl.col("why").is_null()) for run in runs if run.rows is not None]
-    first = scored[0]["recording"].unique(maintain_order=True) if scored else ()
-    names = [name for name in first if all(name in of["recording"] for of in scored)]
-    rmse = rmse_by(scored[0].filter(pl.col("recording").is_in(names)), "recording") if names else np.zeros(0)
-    for place, why in drawn_of(rmse, False, MOST_PLANS).items():
-        for k, run in enumerate(runs):
-            assert run.rows is not None
-            assert run.recordings is not None
-            (one,) = ScoredTracks(run.rows, [run.recordings[names[place]]], ()).recordings
-            look, tags = LINES[k % len(LINES)], range(len(one.rmse))[:MOST_TAGS]
-            paths = [path for j in tags for path in track_paths([one], j, [("" if j else "estimates", look, "")], 0)]
-            truths = [truth for j in tags for truth in true_path(one, j)]
-            title = ", ".join(filter(None, (run.name, names[place], why and f"{why} by {runs[0].name}")))
-            yield plan(f"floor_plan-{names[place]}-{run.name}", title, paths, truths, one.folder.rig, False, width=5.0)
+    """The charts of the page, and of the files where these are asked for; none without truth."""
+    tracks = {run.name: run.rows for run in runs if run.rows is not None}
+    return [error_cdf(tracks), coverage(tracks)] if tracks else []
 
 
 def write_comparison(
-    path: Path,
-    runs: Sequence[str],
-    tables: Sequence[Section],
-    charts: Sequence[Chart],
-    command: Sequence[str],
+    path: Path, runs: Sequence[str], tables: Sequence[Section], charts: Sequence[Chart], command: Sequence[str],
     playback: str | None = None,
-) -> Path:
+) -> Path:  # fmt: skip
     """Writes the page whole or not at all; returns the path. Raises UnusableInput where it can't be written.
 
     `playback`: the name of a page beside it that plays the runs back.

@@ -1,1 +1,0 @@
-"""All charts: of tracks, filters, objectives and studies; one style."""
