@@ -37,9 +37,7 @@ from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.catalogue import fitting, spec_of
 from trackwright.trackers.core.errors import has_control, one_line
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.events import EVENTS
 from trackwright.trackers.evaluation.metrics import added, metrics, sums
-from trackwright.trackers.evaluation.scored_run import silent
 from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, content_of
 from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, held, json_text, write_whole
 from trackwright.trackers.recordings.checks.all_checks import require_sound
@@ -114,7 +112,9 @@ class Tracking:
         result = Result(notices=[*map(one_line, (*lines, *more))])
         for name in [name for name, _ in self.names] or [fitting(folder)]:
             try:
-                found, fits = runs.tracked(self.named(name, folder), [folder], self.options, silent)
+                found, fits = runs.tracked(
+                    self.named(name, folder), [folder], self.options, lambda name, total=None: lambda done, now="": None
+                )
             except tw.UnusableInput as problem:
                 result.refused.append(_naming(folder.path, problem))
                 continue
@@ -166,7 +166,7 @@ class Finished(Store[Path, Result, Result]):
         if kept.pop("digest") != self._digest(item):
             raise LookupError("of other inputs")
         for summary in kept["outcomes"]:
-            for table in (TRACKS, EVENTS, ERRORS):
+            for table in (TRACKS, ERRORS):
                 pl.read_parquet_schema(self.folder(item) / summary["short"] / table)
         return Result(**kept)
 
@@ -266,8 +266,7 @@ def _write_run(name: str, of: Sequence[tuple[Path, Summary]], out: Path, store: 
     evaluation = tw.Evaluation(summaries[0]["bearing"], metrics(whole).row(0, named=True), *filled)
     write_whole(out / EVALUATION, to_json(evaluation))
     write_whole(out / SOURCES, sources_text(path for path, _ in of))
-    for table in (TRACKS, EVENTS):
-        atomic_write(out / table, partial(rows(table).sink_parquet, compression_level=1))
+    atomic_write(out / TRACKS, partial(rows(TRACKS).sink_parquet, compression_level=1))
     endings = sum((Counter(x["endings"]) for x in summaries), Counter[str]())
     print(f"{name}: {counted(endings.total(), 'track')} of {counted(len(of), 'recording')}: {runs.words_of(endings)}")
     rows_written = pl.scan_parquet(out / TRACKS).select(pl.len()).collect().item()

@@ -14,9 +14,9 @@ from trackwright.trackers.core.errors import UnusableInput
 
 
 def track(*recordings: Recording, options: TrackOptions) -> int:
-    """Track recordings: estimates, events, error metrics, a page with playback.
+    """Track recordings: estimates, error metrics, a page with playback.
 
-    Writes tracks.parquet, events.parquet, report.html and manifest.json; prints error metrics where there is
+    Writes tracks.parquet, report.html and manifest.json; prints error metrics where there is
     truth.
 
     Args:

@@ -1,13 +1,17 @@
-"""What `trackwright track` does with recordings that were read: trackers, estimates, events, metrics, files."""
+"""What `trackwright track` does with recordings that were read: trackers, estimates, metrics, files."""
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import polars as pl
 
 import trackwright as tw
 from trackwright.experiments.cli.console import (
@@ -31,14 +35,16 @@ from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.cautions import level_caution
-from trackwright.trackers.evaluation.events import EVENTS
-from trackwright.trackers.evaluation.scored_run import ScoredRun
+from trackwright.trackers.evaluation.evaluate import truths_of, with_truth
+from trackwright.trackers.evaluation.rows import refuse_without_overlap
 from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.recordings.archives import RESULTS
 from trackwright.trackers.recordings.atomic import Content, write_whole
-from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text
+from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text, track_keys
 from trackwright.trackers.recordings.trajectories import known_height
+
+MUCH = 0.3
+"""The regret of NIS, nats, from which on innovations contradict the noise levels."""
 
 
 def short(tracker: str) -> str:
@@ -55,10 +61,26 @@ def named_runs(options: TrackOptions) -> list[str]:
     return names
 
 
+@dataclass(frozen=True)
+class ScoredRun:
+    """What one tracker found in recordings: `tracks`, their `scored_rows`, and notices."""
+
+    named: tw.NamedTracker
+    folders: Sequence[tw.RecordingFolder]
+    tracks: tw.Tracks
+    rows: pl.DataFrame
+    notices: list[str]
+
+    @property
+    def evaluation(self) -> tw.Evaluation:
+        """The metrics."""
+        return tw.Evaluation.of(self.rows)
+
+
 def files_of(found: ScoredRun, evaluation: tw.Evaluation) -> dict[str, Content]:
     """The files of a run folder."""
     paths = sources_text(folder.path for folder in found.folders)
-    return {TRACKS: found.tracks.table, EVENTS: found.events, SOURCES: paths, EVALUATION: to_json(evaluation)}
+    return {TRACKS: found.tracks.table, SOURCES: paths, EVALUATION: to_json(evaluation)}
 
 
 def tracked(
@@ -77,7 +99,16 @@ def tracked(
     if options.smooth or options.lag is not None:
         parts = [(one.smoothing(options.lag), of) for one, of in parts]
     give_back()
-    return ScoredRun.of(parts, options.seed, begin), fits
+    batches = [batch for one, of in parts for batch in one.batches(of)]
+    advance = begin("tracking", sum(len(batch.trajectories) for batch in batches))
+    tracks = named.track(batches, advance, seed=options.seed)
+    begin("errors")
+    rows, lines = with_truth(tracks.table, folders), [*tracks.notices]
+    try:
+        refuse_without_overlap(rows, truths_of(folders))
+    except tw.UnusableInput as problem:
+        lines.append(f"not evaluated: {problem}")
+    return ScoredRun(parts[0][0], folders, tracks, rows, lines), fits
 
 
 def track_together(
@@ -151,10 +182,7 @@ def _track(
         if options.figures != "none":
             run.begin("report")
             pages.append(page_of(found, evaluation, of))
-        drawn = write_shown(scored(found), pages, options, out, run) if of == 1 else []
-        for event, count in found.events.group_by("event", maintain_order=True).len().iter_rows():
-            print(f"event: {event} ({counted(count, 'time')})")
-        return drawn
+        return write_shown(scored(found), pages, options, out, run) if of == 1 else []
 
     about = {"recordings": [str(folder.path) for folder in folders], "verdicts": endings, "fitted": fits}
     text = partial(to_text, evaluation, terminal_width()) if of == 1 else str
@@ -167,19 +195,22 @@ def end_run(
     about: Mapping[str, Any], options: TrackOptions, out: Path, run: Run,
 ) -> None:  # fmt: skip
     """Prints the metrics of a tracker as `text`, or without truth what innovations show; what `show` draws is written,
-    and the manifest, with what is `about` the run. A notice where noise levels seem wrong."""
+    and the manifest, with what is `about` the run."""
     if evaluation.overall["n"]:
         print(text(), end="")
     else:
         for sentence in evaluation.statements:
             print(f"Without truth: {uncapitalised(sentence)}")
-    if not options.fit and (wrong := level_caution(evaluation.overall)):
-        notice(f"notice: innovations are {wrong}; --fit fits noise levels to the readings")
+    ratio = evaluation.overall["nis_ratio"]
+    if not options.fit and ratio and ratio - 1 - math.log(ratio) > MUCH:
+        notice(
+            f"notice: innovations contradict noise levels, NIS/dof {ratio:.2g}; --fit fits noise levels to the readings"
+        )
     run.put({short(name): content(evaluation)})
     drawn = show()
     used = config(options, "cluster", "force", "keep_going", "set_") | {"tracker": name, "set": options.numbers.values}
     write_manifest(out, used, run.started, chunk=CHUNK, **about)
-    written = [f"{out / TRACKS} ({counted(rows, 'estimate')})", EVENTS, EVALUATION, "manifest.json", *drawn]
+    written = [f"{out / TRACKS} ({counted(rows, 'estimate')})", EVALUATION, "manifest.json", *drawn]
     print(f"wrote {', '.join(written)}")
 
 
@@ -196,7 +227,9 @@ def scored(found: ScoredRun) -> ScoredTracks:
 def page_of(found: ScoredRun, evaluation: tw.Evaluation, of: int) -> dict[str, Any]:
     """The data of the page of one of `of` trackers."""
     name, known = found.named.name, evaluation if evaluation.overall["n"] else None
-    return run_data(scored(found), found.events, known, f"{name}: {found.named.spec.about}", short(name), of)
+    lost = found.rows.filter(pl.col("losses") > 0)
+    losses = lost.select(*track_keys(lost), "t_s", event=pl.col("status"), detail=pl.lit(""))
+    return run_data(scored(found), losses, known, f"{name}: {found.named.spec.about}", short(name), of)
 
 
 def write_shown(

@@ -24,7 +24,6 @@ from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Advance, notice
 from trackwright.trackers.catalogue import fitting, spec_of
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.evaluation.cautions import mirror_cautions
 from trackwright.trackers.evaluation.evaluate import with_truth
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.input_file import identity
@@ -88,7 +87,6 @@ def tracker_for_folders(folders: Sequence[tw.RecordingFolder], options: WithNumb
 def fit_folders(folders: Sequence[tw.RecordingFolder], count: int, options: TuneOptions, run: Run) -> Fitted:
     """Fits the tracker to the first `count` recordings, the others held out."""
     named, goal, by_default = tracker_for_folders(folders, options), options.objective, options.objective is None
-    notices(mirror_cautions(named, folders))
     how = (options.piece_rows, options.dimensions, options.weigh)
     data = fit_data(named.only_batch(folders), goal, folders[count:], *how)
     tune = options.tune or numbers.tuned_by_default(data.tracker, data.objective.needs_truth)

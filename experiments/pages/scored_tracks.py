@@ -205,7 +205,7 @@ class ScoredTracks:
 def rmse_by(rows: pl.DataFrame, key: str) -> np.ndarray:
     """The RMSE of each group of rows, horizontal in m or of the direction in rad; NaN without truth."""
     name = main_size(rows).replace("size", "rmse")
-    return float_column(metrics(sums(rows, key, of=[name])), name)
+    return float_column(metrics(sums(rows.lazy(), key), [name]).collect(), name)
 
 
 def root_mean_square(errors: np.ndarray) -> float:

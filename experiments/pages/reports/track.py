@@ -144,7 +144,7 @@ def recording_data(
     ]
     number = {keys[k]: place for place, k in enumerate(chosen)}
     happened = [
-        {"t": max(event["t_s"] - start, 0.0), "track": track, "what": event["event"]}
+        {"t": max(event["t_s"] - start, 0.0), "track": track, "what": event["event"], "detail": event["detail"]}
         for event in events.iter_rows(named=True)
         if (track := number.get((event["tag"], event.get("station")))) is not None
     ]

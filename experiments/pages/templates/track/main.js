@@ -177,8 +177,8 @@ function listNow() {
   box.querySelector("h3").textContent = track ? `tag ${nameOf(track)}` : "";
   const events = recording.events.filter((event) => selected < 0 || selected === event.track).slice(0, 12);
   box.querySelector("ul").replaceChildren(...events.map((event) => {
-    const of = selected < 0 && recording.tracks.length > 1 ? ` (${nameOf(recording.tracks[event.track])})` : "";
-    return made("li", `${fixed(recording.start + event.t, 1)} s: ${event.what}${of}`, { onclick: () => goTo(event.t) });
+    const detail = event.detail ? `, ${event.detail}` : "", of = selected < 0 && recording.tracks.length > 1 ? ` (${nameOf(recording.tracks[event.track])})` : "";
+    return made("li", `${fixed(recording.start + event.t, 1)} s: ${event.what}${detail}${of}`, { onclick: () => goTo(event.t) });
   }));
 }
 

@@ -19,7 +19,9 @@ from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.columns import float_column
 
-NO_EVENTS = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
+NO_EVENTS = pl.DataFrame(
+    schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String, "detail": pl.String}
+)
 
 
 def _unpacked(array):
@@ -33,7 +35,7 @@ def tracks():
 
 @pytest.fixture(scope="module")
 def recording(tracks):
-    event = pl.DataFrame({"recording": "hall", "tag": ["B", "gone"], "t_s": [5.0, 5.0], "event": "lost"})
+    event = pl.DataFrame({"recording": "hall", "tag": ["B", "gone"], "t_s": [5.0, 5.0], "event": "lost", "detail": ""})
     return run_data(tracks, event, None, "uwb")["recordings"][0]
 
 

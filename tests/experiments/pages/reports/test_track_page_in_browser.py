@@ -37,7 +37,7 @@ def browser():
 
 
 def _written(folder, tracks):
-    event = pl.DataFrame({"recording": ["hall"], "tag": ["B"], "t_s": [5.0], "event": ["lost"]})
+    event = pl.DataFrame({"recording": ["hall"], "tag": ["B"], "t_s": [5.0], "event": ["lost"], "detail": ["for 2 s"]})
     evaluation = Evaluation.of(tracks.rows)
     run = run_data(tracks, event, evaluation, f"uwb: {NASTY}")
     write_track_page(folder / "report.html", [run], "trackwright track hall")
