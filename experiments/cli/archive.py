@@ -33,9 +33,7 @@ from trackwright.trackers.catalogue import fitting, run_files, spec_of
 from trackwright.trackers.core.errors import has_control, one_line
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.events import EVENTS
 from trackwright.trackers.evaluation.metrics import added, metrics, sums
-from trackwright.trackers.evaluation.scored_run import silent
 from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, content_of
 from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, held, json_text, write_whole
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
@@ -86,7 +84,7 @@ class Archive(Store[Path, Result]):
         result = Result(notices=[*map(one_line, lines)])
         for name in self.names or [fitting(folder)]:
             try:
-                found, lines = runs.tracked(name, [folder], self.options, silent)
+                found, lines = runs.tracked(name, [folder], self.options, runs.silent)
             except tw.UnusableInput as problem:
                 result.refused.append(_naming(path, problem))
                 continue
@@ -127,7 +125,7 @@ class Archive(Store[Path, Result]):
         if kept.pop("digest") != self._digest(item):
             raise LookupError("of other inputs")
         for summary in kept["outcomes"]:
-            for table in (TRACKS, EVENTS, ERRORS):
+            for table in (TRACKS, ERRORS):
                 pl.read_parquet_schema(self.folder(item) / summary["short"] / table)
         return Result(**kept)
 
@@ -240,8 +238,7 @@ def _write_run(name: str, of: Sequence[tuple[Path, Summary]], out: Path, archive
     evaluation = tw.Evaluation(summaries[0]["bearing"], metrics(whole).row(0, named=True), *filled)
     write_whole(out / EVALUATION, to_json(evaluation))
     write_whole(out / SOURCES, sources_text(path for path, _ in of))
-    for table in (TRACKS, EVENTS):
-        atomic_write(out / table, partial(rows(table).sink_parquet, compression_level=1))
+    atomic_write(out / TRACKS, partial(rows(TRACKS).sink_parquet, compression_level=1))
     endings = sum((Counter(x["endings"]) for x in summaries), Counter[str]())
     print(f"{name}: {counted(len(of), 'recording')}, {runs.words_of(endings)}")
     if evaluation.overall["n"]:

@@ -141,7 +141,7 @@ def _write(
     """Writes the files of `--out`; in words, which."""
     from trackwright.experiments.pages.report import typed
     from trackwright.experiments.pages.scored_tracks import ScoredTracks
-    from trackwright.experiments.pages.track import NO_EVENTS, PAGE, run_data, write_track_page
+    from trackwright.experiments.pages.track import PAGE, run_data, write_track_page
     from trackwright.trackers.recordings.tracks_table import SOURCES, sources_text
 
     write_whole(out / EVALUATION, text)
@@ -149,6 +149,6 @@ def _write(
     if paths := [folder.path for folder in folders if folder.path is not None and folder.path.is_dir()]:
         write_whole(out / SOURCES, sources_text(paths))
     scored = ScoredTracks(rows_of(tracks, folders), folders, ())
-    run = run_data(scored, NO_EVENTS, evaluation, source)
+    run = run_data(scored, evaluation, source)
     write_track_page(out / PAGE, [run], typed(sys.argv), "evaluate")
     return f"wrote {out}: {PAGE}, {EVALUATION}, and {TRACKS} as compared"

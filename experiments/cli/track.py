@@ -14,11 +14,11 @@ from trackwright.trackers.core.errors import UnusableInput
 
 
 def track(*recordings: Recording, options: TrackOptions) -> int:
-    """Track recordings: estimates, events, error metrics, a page with playback.
+    """Track recordings: estimates, error metrics, a page with playback.
 
-    Writes tracks.parquet, events.parquet, report.html and manifest.json; prints error metrics where there is
-    truth. With a folder of folders, more than 60 recordings or --cluster each recording is tracked by itself and kept,
-    so that the same command continues, and those that fail are left out, with exit code 3.
+    Writes tracks.parquet, report.html and manifest.json; prints error metrics where there is truth. With a folder of
+    folders, more than 60 recordings or --cluster each recording is tracked by itself and kept, so that the same command
+    continues, and those that fail are left out, with exit code 3.
 
     Args:
         recordings: recording folders (rig.toml and tables), or folders of such folders.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import polars as pl
 
 import trackwright as tw
 from trackwright.experiments.cli.console import LEFT_OUT, notices, write_manifest
@@ -16,19 +19,40 @@ from trackwright.experiments.pages.report import typed
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.pages.track import PAGE, run_data, write_track_page
 from trackwright.experiments.text.tables import content, terminal_width, to_json, to_text
-from trackwright.experiments.text.terminal import Begin, notice
+from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
 from trackwright.trackers.catalogue import several, spec_of, tracked_by
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.cautions import level_caution
-from trackwright.trackers.evaluation.events import EVENTS
-from trackwright.trackers.evaluation.scored_run import ScoredRun
+from trackwright.trackers.evaluation.evaluate import truths_of, with_truth
+from trackwright.trackers.evaluation.rows import refuse_without_overlap
 from trackwright.trackers.programs.program_cache import give_back
 from trackwright.trackers.recordings.archives import RESULTS
 from trackwright.trackers.recordings.atomic import Content, write_whole
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text
+
+MUCH = 0.3
+"""The regret of NIS, nats, from which on innovations contradict the noise levels."""
+
+
+class ScoredRun(NamedTuple):
+    """What one tracker found in recordings: `tracks`, and their `scored_rows`."""
+
+    named: tw.NamedTracker
+    folders: Sequence[tw.RecordingFolder]
+    tracks: tw.Tracks
+    rows: pl.DataFrame
+
+    @property
+    def evaluation(self) -> tw.Evaluation:
+        """The metrics."""
+        return tw.Evaluation.of(self.rows)
+
+
+def silent(name: str, total: int | None = None) -> Advance:
+    """Begins a stage of which nobody hears."""
+    return lambda done, now="": None
 
 
 def short(tracker: str) -> str:
@@ -48,7 +72,7 @@ def named_runs(options: TrackOptions) -> list[str]:
 def files_of(found: ScoredRun) -> dict[str, Content]:
     """The files of a run folder."""
     paths = sources_text(folder.path for folder in found.folders)
-    return {TRACKS: found.tracks.table, EVENTS: found.events, SOURCES: paths, EVALUATION: to_json(found.evaluation)}
+    return {TRACKS: found.tracks.table, SOURCES: paths, EVALUATION: to_json(found.evaluation)}
 
 
 def tracked(
@@ -68,8 +92,16 @@ def tracked(
     if options.smooth or options.lag is not None:
         parts = [(one.smoothing(options.lag), of) for one, of in parts]
     give_back()
-    found = ScoredRun.of(parts, options.seed, begin)
-    return found, [*lines, *found.notices]
+    batches = [batch for one, of in parts for batch in one.batches(of)]
+    advance = begin("tracking", sum(len(batch.trajectories) for batch in batches))
+    tracks = named.track(batches, advance, seed=options.seed)
+    begin("errors")
+    rows = with_truth(tracks.table, folders)
+    try:
+        refuse_without_overlap(rows, truths_of(folders))
+    except tw.UnusableInput as problem:
+        lines.append(f"not evaluated: {problem}")
+    return ScoredRun(named, folders, tracks, rows), [*tracks.notices, *lines]
 
 
 def track_together(
@@ -99,7 +131,7 @@ def track_together(
             begin("report")
             known = evaluation if evaluation.overall["n"] else None
             about, several_runs = f"{name}: {run.named.spec.about}", len(runs) if compared else 1
-            pages.append(run_data(scored, run.events, known, about, short(name), several_runs))
+            pages.append(run_data(scored, known, about, short(name), several_runs))
             if not compared:
                 write_track_page(out / PAGE, [pages.pop()], typed(sys.argv))
                 written.append(PAGE)
@@ -109,8 +141,6 @@ def track_together(
 
             begin("figures")
             written.append(figures_drawn(plot_tracks(out, scored, kind)))
-        for event, count in run.events.group_by("event", maintain_order=True).len().iter_rows():
-            print(f"event: {event} ({counted(count, 'time')})")
         conclude(evaluation, name, len(run.rows), options, out, written)
         found[short(name)] = content(evaluation)
     if compared:
@@ -145,8 +175,10 @@ def conclude(
     """Prints what innovations show without truth, notices levels that seem wrong, and writes the manifest."""
     for sentence in () if evaluation.overall["n"] else evaluation.statements:
         print(f"Without truth: {uncapitalised(sentence)}")
-    if not options.fit and (wrong := level_caution(evaluation.overall)):
-        notice(f"notice: innovations are {wrong}; --fit fits noise levels to the readings")
+    ratio = evaluation.overall["nis_ratio"]
+    if not options.fit and ratio and ratio - 1 - math.log(ratio) > MUCH:
+        wrong = f"innovations contradict the noise levels, NIS/dof {ratio:.2g}"
+        notice(f"notice: {wrong}; --fit fits them to the readings")
     write_manifest(out, tracker=name, set=options.numbers.values, seed=options.seed)
-    files = f"{out / TRACKS} ({counted(rows, 'estimate')})", EVENTS, EVALUATION, "manifest.json"
+    files = f"{out / TRACKS} ({counted(rows, 'estimate')})", EVALUATION, "manifest.json"
     print(f"wrote {', '.join([*files, *written])}")

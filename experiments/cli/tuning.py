@@ -19,7 +19,6 @@ from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.trackers.catalogue import fitting
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.evaluation.cautions import mirror_cautions
 from trackwright.trackers.evaluation.evaluate import with_truth
 from trackwright.trackers.recordings.atomic import atomic_write
 from trackwright.trackers.recordings.input_file import identity
@@ -49,7 +48,6 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
     """Fits to the first `count` recordings, the others held out, writes all files and prints the table; exit code."""
     started, named = monotonic(), tracker_for_folders(folders, options)
     training, held_out = folders[:count], folders[count:]
-    notices(mirror_cautions(named, folders))
     data = fit_data(named.only_batch(folders), options.objective, held_out, dimensions=options.dimensions)
     result = _fit(data, options, begin)
     begin("leaving out recordings")

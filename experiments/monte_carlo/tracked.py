@@ -10,7 +10,6 @@ import numpy as np
 from trackwright.experiments.monte_carlo.errors import TrackedRuns, joined, scored
 from trackwright.trackers.core.data.estimates import Estimates, Status, is_usable
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.rows import last_of_intervals
 from trackwright.trackers.recordings.tracks import angles
 from trackwright.trackers.recordings.trajectories import Trajectories
 from trackwright.trackers.recordings.truth import TruthStatus
@@ -139,6 +138,7 @@ def _scored_rows(estimates: Estimates, rows: np.ndarray, known: np.ndarray, ever
     known = known & usable
     if every is None:
         return known
-    track = np.broadcast_to(np.arange(len(last))[:, None], last.shape)
-    times = estimates.valid_times(rows).ravel()
-    return last_of_intervals(times, known.ravel(), every, track.ravel()).reshape(last.shape)
+    # 0.3 s belongs to the interval that starts there although 0.3 / 0.1 is 2.9999999999999996.
+    interval = np.where(known, np.floor(estimates.valid_times(rows) / every + 1e-6), -np.inf)
+    later = np.minimum.accumulate(np.where(known, interval, np.inf)[:, ::-1], axis=1)[:, ::-1]
+    return known & np.append(later[:, 1:] > interval[:, :-1], np.ones((len(known), 1), bool), axis=1)

@@ -14,7 +14,7 @@ from trackwright.experiments.pages import charts
 from trackwright.experiments.pages.chart import Chart, draw
 from trackwright.experiments.pages.report import write_page
 from trackwright.experiments.pages.scored_tracks import AnyEstimates, AnyRecording, scored_tracks
-from trackwright.experiments.pages.track import NO_EVENTS, run_data, track_page
+from trackwright.experiments.pages.track import run_data, track_page
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.rows import is_scored
@@ -95,5 +95,5 @@ def playback(estimates: AnyEstimates | Mapping[str, AnyEstimates], recording: An
     for name, run in runs.items():
         tracks = scored_tracks(run, recording)
         evaluation = Evaluation.of(tracks.rows) if is_scored(tracks.rows).any() else None
-        data.append(run_data(tracks, NO_EVENTS, evaluation, name or recording.name, name, len(runs)))
+        data.append(run_data(tracks, evaluation, name or recording.name, name, len(runs)))
     return Playback(f"{recording.name}, {', '.join(filter(None, runs)) or 'estimates'}", track_page(data))

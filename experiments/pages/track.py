@@ -40,9 +40,6 @@ MOST_RECORDINGS, MOST_LISTED = 60, 40
 HEADED = {"m": ", m", "m²": ", m²", "rad": ", °", "s": ", s"}
 """The units in headings of columns, by those in which metrics are stored."""
 
-NO_EVENTS = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
-"""The events of estimates that were not tracked here."""
-
 FAR_M = 500.0
 """Distance from the origin, m, from which the page holds positions relative to another one."""
 
@@ -67,7 +64,7 @@ def track_page(runs: Sequence[Mapping[str, Any]], command: str = "", kind: str =
 
 
 def run_data(
-    tracks: ScoredTracks, events: pl.DataFrame, evaluation: Evaluation | None, tracker: str, name: str = "", of: int = 1
+    tracks: ScoredTracks, evaluation: Evaluation | None, tracker: str, name: str = "", of: int = 1
 ) -> dict[str, Any]:
     """Everything that the page shows of one tracker, within limits on rows, tracks and residuals of all together.
 
@@ -81,10 +78,10 @@ def run_data(
         worst = sorted(evaluation.tracks, key=lambda metrics: -(metrics.get(size) or 0.0))[:MOST_LISTED]
         listed = [*evaluation.recordings, *worst]
     for recording in shown:
-        own, share = pl.col("recording") == recording.folder.name, len(recording.times) / total
+        share = len(recording.times) / total
         limits = (MOST_ROWS, 200), (MOST_TRACKS, 3), (MOST_POINTS, 100)
         most = (max(int(share * most), least) for most, least in limits)
-        recordings.append(recording_data(recording, events.filter(own), *most))
+        recordings.append(recording_data(recording, *most))
     columns = [metric.name for metric in METRICS.values() if metric.page]
     metrics = [
         {key: metrics.get(key) for key in ("recording", "tag", "station")}
@@ -119,12 +116,10 @@ def _metrics(runs: Sequence[Mapping[str, Any]]) -> tuple[Section, list[list[Any]
     return section, [[line[name] for name in ("run", "recording", "tag", "station")] for line in lines]
 
 
-def recording_data(
-    recording: ScoredRecording, events: pl.DataFrame, most_rows: int, most_tracks: int, most_points: int
-) -> dict[str, Any]:
+def recording_data(recording: ScoredRecording, most_rows: int, most_tracks: int, most_points: int) -> dict[str, Any]:
     """The recording as the page's scripts read it; lengths in m relative to `origin`, times in s after `start`.
 
-    `events`: of this recording. The rest: limits on the rows, tracks and residuals that are drawn.
+    Limits are on the rows, tracks and residuals that are drawn. Events are the losses of tracks.
     """
     starts, times, folder, angles = recording.starts, recording.times, recording.folder, recording.angles
     chosen, lengths = drawn_tracks(recording.worst_first(), most_tracks), np.diff(starts)
@@ -143,9 +138,10 @@ def recording_data(
         for k, a, b in zip(chosen, first[:-1], first[1:], strict=True)
     ]
     number = {keys[k]: place for place, k in enumerate(chosen)}
+    lost = recording.rows.filter(pl.col("losses") > 0)
     happened = [
-        {"t": max(event["t_s"] - start, 0.0), "track": track, "what": event["event"]}
-        for event in events.iter_rows(named=True)
+        {"t": max(event["t_s"] - start, 0.0), "track": track, "what": event["status"]}
+        for event in lost.iter_rows(named=True)
         if (track := number.get((event["tag"], event.get("station")))) is not None
     ]
     source, sources = _sources(recording, of_chosen[drawn])
@@ -169,7 +165,7 @@ def recording_data(
         "timeLabel": time_label(recording.zero), "origin": origin.tolist(), "angles": angles, "rows": len(times),
         "drawn": len(drawn), "trackCount": len(lengths), "tracks": tracks, "axes": axes, "columns": _packed(columns),
         "statuses": STATUSES, "sources": sources, "nisBand": _nis_band(recording), "events": happened[:MOST_EVENTS],
-        "eventCount": len(events), "rig": _rig(folder.rig, origin),
+        "eventCount": len(lost), "rig": _rig(folder.rig, origin),
         "residuals": {"tags": tags, "every": every, "channels": channels}, "charts": [one.plotly() for one in charts],
     }  # fmt: skip
 

@@ -33,20 +33,19 @@ class NoBoundError(ValueError):
 
 
 def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times (t,), s, and bounds (t, 3), m, on the standard deviation of a recording's positions, over the known truth.
+    """Times (t,), s, and bounds (t, 3), m, on the standard deviations of a recording's positions, over the known truth.
 
     The information is averaged over the tags whose truth has the times of the first. True velocities are difference
     quotients. None without truth, and for any tracker but an extended Kalman filter of position and velocity with
     linear motion, at the times of its rows.
     """
-    mine = [(b, t) for b in batches for t in b.trajectories if t.folder.name == folder.name][:MAX_RUNS]
-    if not mine or mine[0][1].station:
+    mine = [(b.tracker, t.recording) for b in batches for t in b.trajectories if t.folder.name == folder.name]
+    if not mine or "position" not in mine[0][1].truth:
         return None
-    owner, first, tracker = mine[0][0], mine[0][1].recording, mine[0][0].tracker
-    known = first.truth["position"][1]
+    (tracker, first), known = mine[0], mine[0][1].truth["position"][1]
     if not isinstance(tracker, Tracker) or not isinstance(tracker.filter, ExtendedKalman) or known.sum() < 3:
         return None
-    recordings = [t.recording for b, t in mine if b is owner and np.array_equal(t.recording.times, first.times)]
+    recordings = [r for of, r in mine[:MAX_RUNS] if of is tracker and np.array_equal(r.times, first.times)]
     recordings = [r for r in recordings if np.array_equal(r.truth["position"][1], known)]
     rows, start = slice(np.argmax(known), len(known) - np.argmax(known[::-1])), tracker.start
     batch, times = stack(recordings).rows(rows), first.times[rows]
@@ -59,7 +58,7 @@ def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple
     parts = ((positions, len(mean.position)), (speeds, len(mean.velocity)))
     state = Kinematic(*(Vector.of(np.asarray(x[:, k], batch.dt.dtype) for k in range(n)) for x, n in parts))
     try:
-        bound = posterior_bound(tracker, batch, state)[:, : parts[0][1]]
+        bound = posterior_bound(tracker, batch, state)[:, : len(mean.position)]
     except NoBoundError:
         return None
     return times, np.pad(bound, ((0, 0), (0, 3 - bound.shape[1])), constant_values=np.nan)
@@ -70,7 +69,7 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
 
     `states`: the true states, leaves (T, B). The recursion starts at the first row with the covariance of the tracker's
     start. The information of later rows is the mean over the valid trajectories; masked channels carry none. Raises
-    NoBoundError where transitions depend on the trajectory or on the noise draw.
+    NoBoundError where transitions differ between trajectories.
     """
     tracker = as_dtype(tracker, batch.dt.dtype)
     before = jax.tree_util.tree_map(lambda x: np.concatenate([x[:1], x[:-1]]), states)
@@ -80,7 +79,7 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
     if len(unlike):
         raise NoBoundError(
             f"posterior_bound: row {1 + unlike[0]}: the transitions of {type(tracker.motion).__name__} differ between "
-            "trajectories or noise draws; expected a motion F·state + G·w with F and G the same for all"
+            "trajectories; expected a motion F·state + G·w with F and G the same for all"
         )
     covs, unit = [P], np.eye(len(P))
     for k in range(1, len(F)):
@@ -98,25 +97,22 @@ def _terms(tracker: Tracker, part: tuple[Row, State, State]) -> tuple[Array, ...
     """The start's covariance (n, n); per row the batch means of F, Q and information (T, n, n), and a check (T,).
 
     `part`: rows, the true states at the previous rows, the true states at the rows. The check: the largest relative
-    difference of F and Q between trajectories, or by a noise draw of 1.
+    difference of F and Q between trajectories.
     """
     tracker = freeze(tracker)
     motion = tracker.motion
 
     def trajectory(row: Row, before: State, state: State) -> tuple[Array, ...]:
         (at, remade), (point, rebuild) = coordinates(before), coordinates(state)
+        n, still = len(at), [jnp.zeros_like(at[0])] * motion.noise_dimension
+        predicted = motion.step(before, row.inputs, row.dt, Vector.of(still))
 
-        def transition(draw: Array) -> tuple[Array, Array]:
-            w = jnp.full(motion.noise_dimension, draw)
-            predicted = motion.step(before, row.inputs, row.dt, Vector.of([*w]))
+        def step(x: Array) -> Array:
+            after = motion.step(remade([*x[:n]]), row.inputs, row.dt, Vector.of([*x[n:]]))
+            return jnp.stack(local(predicted, after))
 
-            def step(x: Array, w: Array) -> Array:
-                return jnp.stack(local(predicted, motion.step(remade([*x]), row.inputs, row.dt, Vector.of([*w]))))
-
-            F, G = jax.jacfwd(step, (0, 1))(jnp.stack(at), w)
-            return F, G @ G.T
-
-        information = jnp.zeros((len(point), len(point)), point[0].dtype)
+        jacobian = jax.jacfwd(step)(jnp.stack([*at, *still]))
+        information = jnp.zeros((n, n), jacobian.dtype)
         for name, sensor in tracker.sensors.items():
             exact = row.readings[name]._replace(values=sensor.measure(motion.view(state), row.inputs))
 
@@ -128,19 +124,18 @@ def _terms(tracker: Tracker, part: tuple[Row, State, State]) -> tuple[Array, ...
 
             H = jax.jacfwd(whitened)(jnp.stack(point))
             information = information + H.T @ H
-        return *jax.vmap(transition)(jnp.arange(2, dtype=point[0].dtype)), jnp.where(row.valid, information, 0.0)
+        return jacobian[:, :n], jacobian[:, n:] @ jacobian[:, n:].T, jnp.where(row.valid, information, 0.0)
 
     def one_row(of: tuple[Row, State, State]) -> tuple[Array, ...]:
-        valid = of[0].valid[:, None, None]
-        weight = jnp.where(of[0].valid, jnp.ones_like(of[0].dt), 0.0)
-        F, Q, information = jax.vmap(trajectory, in_axes=-1)(*of)
-        weight = weight / jnp.maximum(weight.sum(), 1.0)
-        means = [jnp.tensordot(weight, x, 1) for x in (F[:, 0], Q[:, 0], information)]
-        spread = jnp.zeros_like(weight[0])
-        for each, mean in ((F[:, 0], means[0]), (F[:, 1], means[0]), (Q[:, 0], means[1]), (Q[:, 1], means[1])):
-            apart = jnp.max(jnp.where(valid, jnp.abs(each - mean[None]), 0.0))
-            spread = jnp.maximum(spread, apart / jnp.maximum(jnp.max(jnp.abs(mean)), jnp.finfo(weight.dtype).tiny))
-        return *means, spread
+        valid = of[0].valid
+        each, weight = jax.vmap(trajectory, in_axes=-1)(*of), jnp.where(valid, jnp.ones_like(of[0].dt), 0.0)
+        means = [jnp.tensordot(weight / jnp.maximum(weight.sum(), 1.0), x, 1) for x in each]
+        apart = [
+            jnp.max(jnp.where(valid[:, None, None], jnp.abs(x - m[None]), 0.0))
+            for x, m in zip(each, means, strict=True)
+        ]
+        largest = [jnp.maximum(jnp.max(jnp.abs(m)), jnp.finfo(weight.dtype).tiny) for m in means]
+        return *means, jnp.maximum(apart[0] / largest[0], apart[1] / largest[1])
 
     first = jax.tree_util.tree_map(lambda x: x[0, ..., 0], part[0])
     belief = tracker.start.belief(tracker.start.candidate(tracker.sensors, first), first)

@@ -5,7 +5,6 @@ A metric without data (no heights, no reported covariance) is None.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -15,9 +14,9 @@ import polars as pl
 
 from trackwright.trackers.core.data.frames import evaluation_html, evaluation_text
 from trackwright.trackers.core.errors import UnusableInput, near, one_or_more
-from trackwright.trackers.core.wording import counted, numbered_names
+from trackwright.trackers.core.wording import numbered_names
 from trackwright.trackers.evaluation.metrics import added, metrics, sums
-from trackwright.trackers.evaluation.rows import is_scored, refuse_without_overlap, scored_rows
+from trackwright.trackers.evaluation.rows import refuse_without_overlap, scored_rows
 from trackwright.trackers.evaluation.statements import covariance_statements
 from trackwright.trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.tracks_table import is_bearing, track_keys
@@ -49,9 +48,8 @@ class Evaluation:
     @classmethod
     def of(cls, rows: pl.DataFrame) -> Evaluation:
         """The metrics of scored rows; None if no row is scored."""
-        recordings = sums(rows, "recording")
-        labelled = [(recordings, ["recording"]), (sums(rows, *track_keys(rows)), track_keys(rows))]
-        levels = [of.select(keys).hstack(metrics(of)).to_dicts() for of, keys in labelled]
+        recordings, tracks = sums(rows, "recording"), sums(rows, *track_keys(rows))
+        levels = [of.select(pl.col(pl.String)).hstack(metrics(of)).to_dicts() for of in (recordings, tracks)]
         return cls(is_bearing(rows), metrics(added(recordings, rows.lazy())).row(0, named=True), *levels)
 
     def __getitem__(self, metric: str) -> Any:
@@ -68,54 +66,46 @@ class Evaluation:
         """A table with one row per track and one column per metric."""
         return pl.DataFrame(self.tracks, infer_schema_length=None)
 
-    _repr_html_ = evaluation_html
-
-    __str__ = evaluation_text
-
-    def __repr__(self) -> str:
-        name = "rmse_direction_rad" if self.bearing else "rmse_m"
-        known = "" if self.overall[name] is None else f", {name} {self.overall[name]:.4g}"
-        counts = f"{counted(self.overall['n'], 'estimate')}, {counted(len(self.tracks), 'track')}"
-        return f"<Evaluation of {counts}{known}; print it for a table>"
+    _repr_html_, __str__, __repr__ = evaluation_html, evaluation_text, evaluation_text
 
 
-def evaluate(
-    estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore, every: float | None = None
-) -> Evaluation:
+def evaluate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> Evaluation:
     """The error metrics of estimates against the truth of their recordings, interpolated at the times of the estimates.
 
     `estimates`: `Tracks`, a table with the columns of tracks.parquet, or the `Estimates` of `Recording`s whose truth is
-    a `position`. `every`: s, score only the last estimate in each interval of that length. Recordings in arrays of one
-    name are told apart by their place, which must be the run's. Raises UnusableInput if no recording has a truth,
-    or no estimate lies inside the truth of its recording and tag, and for two folders of one name.
+    a `position`. Recordings in arrays of one name are told apart by their place, which must be the run's. Raises
+    UnusableInput if no recording has a truth, or no estimate lies inside the truth of its recording and tag, and for
+    two folders of one name.
     """
     recordings = _several(recordings)
-    rows = rows_of(estimates, recordings, every)
-    if not is_scored(rows).any():
-        refuse_without_overlap(rows, truths_of(recordings))
+    rows = rows_of(estimates, recordings)
+    refuse_without_overlap(rows, truths_of(recordings))
     return Evaluation.of(rows)
 
 
-def rows_of(
-    estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore, every: float | None = None
-) -> pl.DataFrame:
+def rows_of(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> pl.DataFrame:
     """The `scored_rows` of estimates; arguments as of `evaluate`. Raises UnusableInput if no recording has a truth."""
     several = _several(recordings)
     table = estimates if isinstance(estimates, pl.DataFrame) else estimates.to_polars()
     if "tag" not in table.columns and not isinstance(estimates, pl.DataFrame):
-        _refuse_other_places(getattr(estimates, "names", ()), [recording.name for recording in several])
+        names = [*getattr(estimates, "names", ())]
+        if len({*names}) < len(names) and names != [recording.name for recording in several]:
+            raise UnusableInput(
+                f"evaluate: recordings of the run share a name ({', '.join(names)}) and have only their places; "
+                "expected the same in the same order; or give each a `name` where it is made"
+            )
         table = table.with_columns(tag=pl.lit(""))
-    truths = truths_of(several)
-    if not truths:
-        names = ", ".join(str(getattr(r, "path", None) or r.name) for r in several)
-        raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give recordings that have one")
-    stations = {f.name: f.rig.stations for f in several if isinstance(f, RecordingFolder)}
-    return scored_rows(table, truths, stations, every)
+    if not truths_of(several):
+        names = [str(getattr(recording, "path", None) or recording.name) for recording in several]
+        raise UnusableInput(f"{', '.join(names)}: no truth table; expected one; give recordings that have one")
+    return with_truth(table, several)
 
 
-def with_truth(tracks: pl.DataFrame, folders: Sequence[RecordingFolder]) -> pl.DataFrame:
+def with_truth(tracks: pl.DataFrame, recordings: OneOrMore) -> pl.DataFrame:
     """The `scored_rows` of a table of tracks; none of them is scored without a truth."""
-    return scored_rows(tracks, truths_of(folders), {folder.name: folder.rig.stations for folder in folders})
+    several = _several(recordings)
+    stations = {folder.name: folder.rig.stations for folder in several if isinstance(folder, RecordingFolder)}
+    return scored_rows(tracks, truths_of(several), stations)
 
 
 def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
@@ -126,16 +116,6 @@ def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
 
         kinds = (RecordingFolder, Recording)
     return one_or_more(recordings, kinds, "recordings as the second argument, evaluate(estimates, recordings)")
-
-
-def _refuse_other_places(estimated: Sequence[str], given: Sequence[str]) -> None:
-    """Raises UnusableInput for recordings of one name that differ from the run's, or from their order."""
-    if len(set(estimated)) < len(estimated) and list(estimated) != list(given):
-        name, count = Counter(estimated).most_common(1)[0]
-        raise UnusableInput(
-            f"evaluate: {count} recordings of the run are named '{name}', which their places alone tell apart; "
-            "expected the same recordings in the same order; or give each a `name` where it is made"
-        )
 
 
 def truths_of(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
@@ -161,18 +141,18 @@ def metric_names(tracks: pl.DataFrame) -> list[str]:
 
 def condition_of(expression: str, names: Sequence[str]) -> pl.Expr:
     """The condition on metrics of these names; raises UnusableInput for a text that is none."""
-    where, used, problem = f"--fail-if '{expression}'", list[str](), "is no condition on metrics"
+    where, used = f"--fail-if '{expression}'", list[str]()
     try:
         condition = pl.sql_expr(expression)
         used = condition.meta.root_names()
         fits = pl.DataFrame({name: [0.0] for name in used}).select(condition).dtypes == [pl.Boolean] and used
-    except pl.exceptions.PolarsError as error:
-        fits, problem = False, f"cannot be read ({str(error).splitlines()[0]})"
+    except pl.exceptions.PolarsError:
+        fits = False
     if unknown := [name for name in used if name not in names]:
         raise UnusableInput(f"{where}: no metric '{unknown[0]}'{near(unknown[0], names)}; names: {', '.join(names)}")
     if not fits:
-        fix = f"expected NAME OPERATOR NUMBER joined by and, or, e.g. p95_m>0.5; names: {', '.join(names)}"
-        raise UnusableInput(f"{where}: {problem}; {fix}")
+        fix = "expected NAME OPERATOR NUMBER joined by and, or, e.g. p95_m>0.5"
+        raise UnusableInput(f"{where}: is no condition on metrics; {fix}; names: {', '.join(names)}")
     return condition
 
 

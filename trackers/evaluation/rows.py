@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import polars as pl
+from jaxtyping import Float
 
 from trackwright.trackers.core.data.consistency import eliminated, upper_entries
 from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Station
-from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.judge import correlation_times, energy_scores
 from trackwright.trackers.recordings.columns import float_column, require_columns
-from trackwright.trackers.recordings.kinds import QUATERNION
 from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, track_keys
 from trackwright.trackers.recordings.truth import TruePaths, TruthStatus
 
@@ -23,18 +20,21 @@ Stations = Mapping[str, Mapping[str, Station]]
 """By recording, its stations by id."""
 
 WHY = {TruthStatus.NO_ESTIMATE: "no estimate", TruthStatus.NO_TRUTH: "no truth", TruthStatus.HOLE: "hole"}
-SKIPPED = "not the last"
-"""Why a row is not scored, in the column `why`: the status of its truth, or a later row of its interval."""
+"""Why a row is not scored, in the column `why`."""
 
 AXES = ("x_m", "y_m", "z_m")
 ANGLES = ("azimuth_rad", "elevation_rad")
 
+WINDOW = 3.0
+"""Lags up to which the autocorrelation is summed, in correlation times of the sum so far."""
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
+TANGENTS = np.tan(np.pi / 4 * (1 + NODES))
+CHUNK = 2_000  # rows whose energy scores are computed together: their numbers fit the processor's cache
+
 
 def scored_rows(
-    tracks: pl.DataFrame,
-    truths: Mapping[str, pl.DataFrame],
-    stations: Stations | None = None,
-    every: float | None = None,
+    tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame], stations: Stations | None = None
 ) -> pl.DataFrame:
     """The estimates, sorted by recording, tag, station and time, with these columns; null where they are not known.
 
@@ -46,8 +46,7 @@ def scored_rows(
     `step_s`: until the next row; `lost`; `losses`: times lost.
 
     `tracks`: the columns of tracks.parquet. `truths`: by recording, a table of t_s, tag, x_m, y_m and optionally z_m.
-    `stations`: required for scored bearings. `every`: s, score only the last estimate in each interval of that length.
-    Raises UnusableInput for a missing column or station.
+    `stations`: required for scored bearings. Raises UnusableInput for a missing column or station.
     """
     keys, values = track_keys(tracks), ANGLES if is_bearing(tracks) else AXES[:2]
     require_columns(tracks, [*keys, "t_s", *values], "the tracks")
@@ -57,24 +56,16 @@ def scored_rows(
     usable = np.isfinite([times, *(float_column(rows, name) for name in values)]).all(axis=0)
     if "status" in rows.columns:
         usable &= ~rows["status"].is_in(NO_ESTIMATE).fill_null(False).to_numpy()
-    starts = np.searchsorted(track, np.arange(track.max(initial=-1) + 2))
-    paths = _paths(truths)
-    names = _path_names(rows[starts[:-1]])
-    truth, status = paths.at(names, starts, np.where(usable, times, np.nan))
+    truth, headings, status = _truth(rows, truths, track, np.where(usable, times, np.nan))
     status = np.where(usable, status, TruthStatus.NO_ESTIMATE)
-    scored = last_of_intervals(times, status == TruthStatus.SCORED, every, track)
-    why = pl.Series("why", status).replace_strict(WHY, default=None, return_dtype=pl.String)
-    why = why.zip_with(pl.Series(scored | (status != TruthStatus.SCORED)), pl.Series([SKIPPED]))
+    scored, why = status == TruthStatus.SCORED, pl.Series("why", status)
     columns = {f"true_{axis}": x for axis, x in zip(AXES, truth.T, strict=True)}
-    if is_bearing(rows):
-        columns |= _bearings(rows, truth, scored, track, starts, stations or {})
-    else:
-        if HEADING in rows.columns:
-            headings = paths.headings_at(names, starts, np.where(usable, times, np.nan))
-            turned = float_column(rows, HEADING) - headings
-            columns["size_heading_rad"] = np.where(scored, np.abs(wrapped(turned)), np.nan)
-        columns = _positions(rows, truth, scored, track) | columns
-    columns |= _innovations(rows, track) | _lost(rows, times, track)
+    columns |= _judged(rows, truth, scored, stations or {}, track) | _innovations(rows, track)
+    columns |= _lost(rows, times, track)
+    if HEADING in rows.columns:
+        turned = np.abs(wrapped(float_column(rows, HEADING) - headings))
+        columns["size_heading_rad"] = np.where(scored, turned, np.nan)
+    why = why.replace_strict(WHY, default=None, return_dtype=pl.String)
     return rows.with_columns(why, *(pl.Series(name, x, nan_to_null=True) for name, x in columns.items()))
 
 
@@ -83,34 +74,27 @@ def is_scored(rows: pl.DataFrame) -> np.ndarray:
     return rows["why"].is_null().to_numpy()
 
 
-def _path_names(table: pl.DataFrame) -> list[str]:
-    """A name for the path of each row: of its recording and tag."""
-    return table.select(pl.concat_str(pl.col("recording", "tag").cast(pl.String), separator="\0")).to_series().to_list()
+def _truth(
+    rows: pl.DataFrame, truths: Mapping[str, pl.DataFrame], track: np.ndarray, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """True positions (n, 3), headings (n,) and the `TruthStatus` (n,) of the rows at their times (n,)."""
+    truth, headings = np.full((len(rows), 3), np.nan), np.full(len(rows), np.nan)
+    status, starts = np.full(len(rows), TruthStatus.NO_TRUTH, np.uint8), _starts(track)
+    first = rows[starts[:-1]]
+    for name, table in truths.items():
+        paths, own = TruePaths.of_table(table, name), np.flatnonzero(first["recording"] == name)
+        if len(own):
+            of = starts[own[0] : own[-1] + 2]
+            part = slice(of[0], of[-1])
+            asked = first["tag"][own].to_list(), of - of[0], times[part]
+            truth[part], status[part] = paths.at(*asked)
+            headings[part] = paths.headings_at(*asked)
+    return truth, headings, status
 
 
-def _paths(truths: Mapping[str, pl.DataFrame]) -> TruePaths:
-    """The true paths of all recordings."""
-    tables = []
-    for name, truth in truths.items():
-        require_columns(truth, ["t_s", "tag", *AXES[:2]], f"the truth of recording '{name}'")
-        known = pl.col("t_s", *(c for c in (*AXES, *QUATERNION) if c in truth.columns)).cast(pl.Float64)
-        tag = pl.concat_str(pl.lit(name), pl.col("tag").cast(pl.String), separator="\0").alias("tag")
-        tables.append(truth.select(tag, known))
-    return TruePaths.of_table(pl.concat(tables, how="diagonal"), "all") if tables else TruePaths.none()
-
-
-def last_of_intervals(times: np.ndarray, scored: np.ndarray, every: float | None, track: np.ndarray) -> np.ndarray:
-    """The mask (n,) of the scored rows that are the last of their `track` (n,) in an interval of `every` seconds.
-
-    All of them without `every`.
-    """
-    if every is None:
-        return scored
-    rows = np.flatnonzero(scored)
-    # 0.3 s belongs to the interval that starts there although 0.3 / 0.1 is 2.9999999999999996.
-    interval = np.floor(times[rows] / every + 1e-6)
-    later = np.append((np.diff(interval) == 0) & (np.diff(track[rows]) == 0), False)
-    return np.isin(np.arange(len(scored)), rows[~later[: len(rows)]])
+def _starts(track: np.ndarray) -> np.ndarray:
+    """The first row of each track by the numbers (n,) of the sorted rows' tracks, then n."""
+    return np.append(np.flatnonzero(np.diff(track, prepend=track[:1] - 1)), len(track))
 
 
 def wrapped(angles: np.ndarray) -> np.ndarray:
@@ -133,11 +117,10 @@ def bearing_sizes(estimates: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray,
     """
     errors, plane = estimates - truth, in_plane(estimates[..., 0])
     errors[..., 0] = wrapped(errors[..., 0])
-    (x, y, z), (p, q, r) = _direction(estimates), _direction(truth)
-    cross = np.sqrt((y * r - z * q) ** 2 + (z * p - x * r) ** 2 + (x * q - y * p) ** 2)
-    # arctan2 of sine and cosine: the arc cosine alone is zero below 1e-8 rad.
+    half, flat = np.sin(errors / 2) ** 2, np.cos(estimates[..., 1]) * np.cos(truth[..., 1])
     angles = {kind: np.where(plane, np.nan, np.abs(errors[..., k])) for k, kind in enumerate(ANGLES)}
-    return errors, {"direction_rad": np.arctan2(cross, x * p + z * r + y * q)} | angles
+    haversine = np.minimum(half[..., 1] + flat * half[..., 0], 1.0)
+    return errors, {"direction_rad": 2 * np.arcsin(np.sqrt(haversine))} | angles
 
 
 def in_plane(azimuth: np.ndarray) -> np.ndarray:
@@ -146,69 +129,60 @@ def in_plane(azimuth: np.ndarray) -> np.ndarray:
     return lying
 
 
-def _direction(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The components of the unit vectors of angles (…, 2)."""
-    azimuth, elevation = angles[..., 0], angles[..., 1]
-    flat = np.cos(elevation)
-    return np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat
+def covariances(rows: pl.DataFrame, names: Sequence[str] = AXES) -> np.ndarray:
+    """Reported covariances (n, d, d) of d columns; those missing in the table are zero."""
+    entries = np.zeros((len(rows), len(names), len(names)))
+    for i, name in enumerate(names):
+        # A negative standard deviation is no variance.
+        entries[:, i, i] = (std := float_column(rows, f"std_{name}")) * np.abs(std)
+        for j in range(i):
+            cov = float_column(rows, f"cov_{names[j].removesuffix('_m')}{name.removesuffix('_m')}_m2")
+            entries[:, i, j] = entries[:, j, i] = np.nan_to_num(cov)
+    return entries
 
 
-def covariances(rows: pl.DataFrame) -> np.ndarray:
-    """Reported position covariances (n, 3, 3), m²; covariances missing in the table are zero."""
-    entries = np.empty((3, 3, len(rows)))
-    for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
-        if i == j:
-            # A negative standard deviation is no variance.
-            entries[i, i] = (std := float_column(rows, f"std_{AXES[i]}")) * np.abs(std)
-        else:
-            cov = np.nan_to_num(float_column(rows, f"cov_{'xyz'[i]}{'xyz'[j]}_m2"))
-            entries[i, j] = entries[j, i] = cov
-    return np.moveaxis(entries, -1, 0)
+def _directions(rows: pl.DataFrame, truth: np.ndarray, stations: Stations) -> np.ndarray:
+    """The true azimuths and elevations (n, 2), rad, from the station of each row to its true place (n, 3), if known."""
+    angles = np.full((len(rows), 2), np.nan)
+    known = rows.with_row_index("row").filter(np.isfinite(truth).all(axis=1))
+    for (recording, ident), part in known.group_by("recording", "station"):
+        own, at = stations.get(str(recording), {}), part["row"].to_numpy()
+        if ident not in own:
+            raise UnusableInput(
+                f"the tracks of recording '{recording}': station '{ident}' is not in its rig; found "
+                f"{', '.join(own) or 'no stations'}; give the recording that was tracked"
+            )
+        angles[at] = own[str(ident)].angles(truth[at])
+    return angles
 
 
-def _positions(rows: pl.DataFrame, truth: np.ndarray, scored: np.ndarray, track: np.ndarray) -> dict[str, np.ndarray]:
-    """Errors, sizes and consistency of positions."""
-    estimates = np.stack([float_column(rows, axis) for axis in AXES], axis=1)
-    errors = np.where(scored[:, None], estimates - truth, np.nan)
-    P, cov = covariances(rows), float_column(rows, "cov_xy_m2")
+def _judged(
+    rows: pl.DataFrame, truth: np.ndarray, scored: np.ndarray, stations: Stations, track: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Errors, sizes and consistency of positions, or of azimuth and elevation from a station."""
+    bearing = is_bearing(rows)
+    names, truth = ANGLES if bearing else AXES, np.where(scored[:, None], truth, np.nan)
+    estimates = np.stack([float_column(rows, name) for name in names], axis=1)
+    if bearing:
+        errors, sizes = bearing_sizes(estimates, _directions(rows, truth, stations))
+    else:
+        sizes = position_sizes(errors := estimates - truth)
+    columns = {f"error_{name}": error for name, error in zip(names, errors.T, strict=True)}
+    columns |= {f"size_{kind}": size for kind, size in sizes.items()}
+    P, cov = covariances(rows, names), float_column(rows, "cov_xy_m2")
     # A covariance that other rows have is missing here.
     reported = [P[:, 0, 0], P[:, 1, 1], *([cov] if np.nan_to_num(cov).any() else [])]
+    columns |= _consistency(errors[:, :2], P[:, :2, :2], reported, track, "", not bearing)
+    if bearing:
+        return columns
     # A known height has no standard deviation in any row of its track.
     free = np.bincount(track, np.nan_to_num(float_column(rows, "std_z_m")) != 0)[track] > 0
-    columns = {f"error_{axis}": error for axis, error in zip(AXES, errors.T, strict=True)}
-    columns |= {f"size_{kind}": size for kind, size in position_sizes(errors).items()}
-    columns |= _consistency(errors[:, :2], P[:, :2, :2], reported, track)
     return columns | _consistency(errors, P, [*reported, np.where(free, P[:, 2, 2], np.nan)], track, "_3d")
 
 
-def _bearings(
-    rows: pl.DataFrame, truth: np.ndarray, scored: np.ndarray, track: np.ndarray, starts: np.ndarray, stations: Stations
-) -> dict[str, np.ndarray]:
-    """Errors, sizes and consistency of azimuth and elevation, against the true direction from the station."""
-    true = np.full((len(rows), 2), np.nan)
-    first = rows[starts[:-1]]
-    for (a, b), recording, ident in zip(pairwise(starts), first["recording"], first["station"], strict=True):
-        part, known = a + np.flatnonzero(scored[a:b]), stations.get(recording, {})
-        if len(part) and ident not in known:
-            raise UnusableInput(
-                f"the tracks of recording '{recording}': station '{ident}' is not in its rig; found "
-                f"{', '.join(known) or 'no stations'}; give the recording that was tracked"
-            )
-        if len(part):
-            true[part] = known[ident].angles(truth[part])
-    errors, sizes = bearing_sizes(np.stack([float_column(rows, angle) for angle in ANGLES], axis=1), true)
-    P = np.zeros((len(rows), 2, 2))
-    for k, angle in enumerate(ANGLES):
-        P[:, k, k] = (std := float_column(rows, f"std_{angle}")) * np.abs(std)
-    columns = {f"error_{angle}": error for angle, error in zip(ANGLES, errors.T, strict=True)}
-    columns |= {f"size_{kind}": size for kind, size in sizes.items()}
-    return columns | _consistency(errors, P, [P[:, 0, 0], P[:, 1, 1]], track, energy=False)
-
-
 def _consistency(
-    errors: np.ndarray, P: np.ndarray, reported: list[np.ndarray], track: np.ndarray, space: str = "",
-    energy: bool = True,
-) -> dict[str, np.ndarray]:  # fmt: skip
+    errors: np.ndarray, P: np.ndarray, reported: list[np.ndarray], track: np.ndarray, end: str, energy: bool = True
+) -> dict[str, np.ndarray]:
     """NEES (n,) of errors (n, d) and what goes with it; `reported`: covariances without which there is none."""
     parts, variances = np.stack(eliminated(errors, upper_entries(P)), axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -218,30 +192,23 @@ def _consistency(
     known = np.isfinite(nees)
     values = {
         "density": -0.5 * (nees + np.log(2 * np.pi * variances).sum(axis=0))[known],
-        "slow": _lasting((parts / np.sqrt(variances)).T[known], track[known], 2),
+        "slow": correlation_times((parts / np.sqrt(variances)).T[known], track[known]),
     }
     if energy:
         values["energy"] = energy_scores(errors[known], P[known])
-    columns = {f"nees{space}": nees}
+    columns = {f"nees{end}": nees} | {name + end: np.full(len(nees), np.nan) for name in values}
     for name, x in values.items():
-        columns[name + space] = np.full(len(nees), np.nan)
-        columns[name + space][known] = x
+        columns[name + end][known] = x
     return columns
-
-
-def _lasting(values: np.ndarray, track: np.ndarray, power: int) -> np.ndarray:
-    """`correlation_times` of values (n, d) of tracks, for each row."""
-    return correlation_times(values, np.searchsorted(track, np.arange(track.max(initial=-1) + 2)), power)[track]
 
 
 def _innovations(rows: pl.DataFrame, track: np.ndarray) -> dict[str, np.ndarray]:
     """NIS, its degrees of freedom and the rows with the information of one; none of rows without a measurement."""
     nis, dof = float_column(rows, "nis"), float_column(rows, "nis_dof")
-    known = np.isfinite(nis) & (dof > 0)
+    known, slow = np.isfinite(nis) & (dof > 0), np.full(len(rows), np.nan)
     total, freedom = (np.bincount(track[known], x[known], track.max(initial=-1) + 1) for x in (nis, dof))
-    slow = np.full(len(rows), np.nan)
     about = nis[known] - (total[track[known]] / freedom[track[known]]) * dof[known]
-    slow[known] = _lasting(about[:, None], track[known], 1)
+    slow[known] = correlation_times(about[:, None], track[known], 1)
     return {"nis": nis, "nis_dof": dof, "slow_nis": slow}
 
 
@@ -257,35 +224,76 @@ def _lost(rows: pl.DataFrame, times: np.ndarray, track: np.ndarray) -> dict[str,
     return {"step_s": steps, "lost": lost, "losses": (lost & ~later) + restarted.astype(int)}
 
 
+def correlation_times(values: Float[np.ndarray, "n d"], track: np.ndarray, power: int = 2) -> Float[np.ndarray, " n"]:
+    """How many rows have the information of one on the mean of squares of values of mean zero, by `track` (n,), sorted.
+
+    One at least. The variance of a mean of squares falls with the sum of the squared autocorrelation (Bartlett 1946;
+    window of Sokal 1997). `power`: 1 for the mean of the values themselves.
+    """
+    starts = _starts(track)
+    lengths, times = np.diff(starts), np.ones(len(starts) - 1)
+    for length in np.unique(lengths[lengths > 1]).tolist():
+        tracks = np.flatnonzero(lengths == length)
+        series = values[starts[tracks, None] + np.arange(length)]
+        size, pairs = 1 << (2 * length - 1).bit_length(), np.arange(length, 0, -1)
+        spectrum = (np.abs(np.fft.rfft(series, size, axis=1)) ** 2).sum(axis=2)
+        products = np.fft.irfft(spectrum, size, axis=1)[:, :length]
+        with np.errstate(invalid="ignore", divide="ignore"):  # of tracks whose values are zero
+            correlation = products[:, 1:] / products[:, :1] * (length / pairs[1:])
+        time = 1.0 + 2.0 * np.cumsum(correlation**power * pairs[1:] / length, axis=1)
+        enough = np.arange(1, length) >= WINDOW * time
+        enough[:, -1] = True
+        times[tracks] = np.fmax(time[np.arange(len(tracks)), enough.argmax(axis=1)], 1.0)
+    return np.repeat(times, lengths)
+
+
+def energy_scores(errors: Float[np.ndarray, "n d"], covs: Float[np.ndarray, "n d d"]) -> Float[np.ndarray, " n"]:
+    """E|X − y| − ½E|X − X′| (n,), m, of normal X and X′ and the truth y in two or three dimensions (Gneiting 2007)."""
+    scores = np.empty(len(errors))
+    for a in range(0, len(errors), CHUNK):
+        e, P = errors[a : a + CHUNK], covs[a : a + CHUNK]
+        trace, moved = np.einsum("nii->n", P), np.einsum("nij,nj->ni", P, e)
+        minors = 0.5 * (trace**2 - (P * P).sum(axis=(1, 2)))
+        # det(I + sP) and eᵀadj(I + sP)e as polynomials in s, by Cayley and Hamilton.
+        volume = np.stack([trace, minors, np.linalg.det(P) if P.shape[1] == 3 else 0 * trace])
+        square, along = (e * e).sum(axis=1), (e * moved).sum(axis=1)
+        last = (moved * moved).sum(axis=1) - trace * along + minors * square
+        size = np.stack([square, trace * square - along, last])
+        twice = volume * np.array([[2.0], [4.0], [8.0]])
+        scores[a : a + CHUNK] = _mean_norm(volume, size) - 0.5 * _mean_norm(twice, np.zeros_like(size))
+    return scores
+
+
+def _mean_norm(volume: Float[np.ndarray, "3 n"], size: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, " n"]:
+    """The mean length (n,) of normal vectors, m, by the coefficients of the polynomials of `energy_scores`.
+
+    E√Q = π^(−½) ∫ (1 − E exp(−t²Q))/t² dt over t > 0, with t = tan θ over the root of EQ, by Gauss and Legendre.
+    """
+    scale, ((p, q, r), (a, b, c)) = np.sqrt(size[0] + volume[0])[:, None], (volume[..., None], size[..., None])
+    with np.errstate(invalid="ignore", divide="ignore"):  # of vectors of length zero
+        s = 2 * (TANGENTS / scale) ** 2
+        spread = 1 + s * (p + s * (q + s * r))
+        kept = np.exp(-0.5 * s * (a + s * (b + s * c)) / spread) / np.sqrt(spread)
+        integral = (1 - kept) @ (WEIGHTS * (1 + 1 / TANGENTS**2))
+    return np.where(scale[:, 0] > 0, scale[:, 0] * integral * np.sqrt(np.pi) / 4, 0.0)
+
+
 def refuse_without_overlap(rows: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> None:
-    """Raises UnusableInput, with the spans and tags of both, where no row is scored."""
-    if is_scored(rows).any():
-        return
-    known = rows.filter(pl.col("why") != "no estimate")
-    expected = "expected estimates inside the span of a truth of the same recording and tag"
-    if known.is_empty():
-        raise UnusableInput(
-            f"the tracks: none of {counted(len(rows), 'row')} holds an estimate (waiting, non-finite or empty); "
-            f"{expected}; run `trackwright check` on the recording"
+    """Raises UnusableInput, with the recordings, tags and times of both, where no row is scored against a truth."""
+    if truths and not is_scored(rows).any():
+        truth = pl.concat(
+            pl.select(recording=pl.lit(name)).join(table.select(pl.col("tag").cast(pl.String), "t_s"), how="cross")
+            for name, table in truths.items()
         )
-    common = sorted(set(rows["recording"]) & set(truths))
-    if not common:
+        known = rows.filter(pl.col("why") != "no estimate")
         raise UnusableInput(
-            f"the tracks are of recording {_names(rows['recording'])}, the truth is of {_names(truths)}; {expected}; "
-            "give the recordings that were tracked"
+            f"no estimate lies inside a truth: estimates of {_about(known)}, truth of {_about(truth)}; expected the "
+            "same recording and tag, and times inside those of the truth; compare names, tag ids and clocks"
         )
-    truth = truths[common[0]]
-    raise UnusableInput(
-        f"no estimate lies inside a truth: estimates {_span(known)} of tags {_names(rows['tag'])}, "
-        f"truth of '{common[0]}' {_span(truth)} of tags {_names(truth['tag'])}; "
-        f"{expected}; compare time bases and tag ids"
-    )
 
 
-def _span(table: pl.DataFrame) -> str:
+def _about(table: pl.DataFrame) -> str:
+    names = (listed(sorted(table[name].unique().cast(pl.String))) or "none" for name in ("recording", "tag"))
     times = float_column(table, "t_s")
-    return f"from {span(times.min(), times.max())}" if len(times) else "at no time"
-
-
-def _names(names: Iterable[object]) -> str:
-    return listed(sorted({str(name) for name in names})) or "none"
+    when = f"from {span(times.min(), times.max())}" if len(times) else "at no time"
+    return "recording {}, tag {}, ".format(*names) + when

@@ -16,7 +16,6 @@ from trackwright.experiments.cli import archive as command
 from trackwright.experiments.jobs.executors import WorkerExecutor, environment
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation import scored_run
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.archives import MANY, archive_of
 from trackwright.trackers.recordings.atomic import held
@@ -26,7 +25,7 @@ COUNT = 16
 BROKEN, FAILING = (3, 11, 12), 14
 """Numbers of the recordings that cannot be read, and of the one that fails while it is tracked."""
 
-TABLES = ("tracks.parquet", "events.parquet", "evaluation.json", "results.csv", "recordings.txt")
+TABLES = ("tracks.parquet", "evaluation.json", "results.csv", "recordings.txt")
 
 
 @pytest.fixture(scope="module")
@@ -44,16 +43,16 @@ def archive(tmp_path_factory):
 @pytest.fixture(scope="module", autouse=True)
 def begun():
     """The names of the recordings that are tracked; the one with the number `FAILING` fails."""
-    names, events_of = [], scored_run.events_of
+    names, with_truth = [], tracking.with_truth
 
-    def failing(tracks):
+    def failing(tracks, folders):
         names.append(tracks["recording"][0])
         if names[-1] == f"walk-{FAILING}":
             raise MemoryError("no memory is left")
-        return events_of(tracks)
+        return with_truth(tracks, folders)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scored_run, "events_of", failing)
+        patch.setattr(tracking, "with_truth", failing)
         yield names
 
 

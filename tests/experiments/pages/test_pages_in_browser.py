@@ -10,7 +10,7 @@ from tests.browser import chromium, watched
 from tests.experiments.pages.small_tracks import NASTY, TAGS, small_bearings, small_run, small_tracks
 from trackwright.experiments.pages.comparison import comparison_charts, write_comparison
 from trackwright.experiments.pages.plot import Playback
-from trackwright.experiments.pages.track import NO_EVENTS, run_data, track_page, write_track_page
+from trackwright.experiments.pages.track import run_data, track_page, write_track_page
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.recordings.columns import float_column
 
@@ -56,9 +56,11 @@ def browser():
 
 
 def _written(folder, *tracks):
-    event = pl.DataFrame({"recording": ["hall"], "tag": ["B"], "t_s": [5.0], "event": ["lost"]})
+    lost = ((pl.col("tag") == "B") & (abs(pl.col("t_s") - 5.0) < 1e-6)).cast(pl.Int64)
     names = dict(zip(("uwb", NASTY), tracks, strict=False))
-    runs = [run_data(of, event, Evaluation.of(of.rows), f"{k}: a tracker", k, len(names)) for k, of in names.items()]
+    tracks = [ScoredTracks(of.rows.with_columns(losses=lost), of.folders, []) for of in tracks]
+    found = zip(names, tracks, strict=True)
+    runs = [run_data(of, Evaluation.of(of.rows), f"{k}: a tracker", k, len(names)) for k, of in found]
     write_track_page(folder / "report.html", runs, "trackwright track hall")
     return folder / "report.html"
 
@@ -163,7 +165,7 @@ def test_directions_are_drawn_around_the_station(browser, tmp_path, in_plane):
 def test_a_notebook_shows_the_page_in_a_frame(browser):
     page = browser.new_page()
     errors = watched(page)
-    run = run_data(small_tracks(), NO_EVENTS, None, "uwb")
+    run = run_data(small_tracks(), None, "uwb")
     page.set_content(f"<h1>notebook</h1>{Playback('hall', track_page([run]))._repr_html_()}")
     frame = page.frame_locator("iframe")
     frame.locator("#charts .main-svg").first.wait_for(state="attached")

@@ -13,7 +13,7 @@ import pytest
 import trackwright as tw
 from tests.experiments.pages.small_tracks import NASTY, TAGS, small_bearings, small_tracks
 from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
-from trackwright.experiments.pages.track import NO_EVENTS, drawn_rows, drawn_tracks, run_data, track_page
+from trackwright.experiments.pages.track import drawn_rows, drawn_tracks, run_data, track_page
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.columns import float_column
@@ -31,9 +31,11 @@ def tracks():
 
 
 def test_columns_tracks_events_and_sources_are_those_of_the_tables(tracks):
-    event = pl.DataFrame({"recording": "hall", "tag": ["B", "gone"], "t_s": [5.0, 5.0], "event": "lost"})
-    (recording,) = run_data(tracks, event, None, "uwb")["recordings"]
-    rows, columns = tracks.rows, _unpacked(recording)
+    rows = tracks.rows.with_row_index("row")
+    last = rows.filter((pl.col("tag") == "B") & (pl.col("t_s") <= 5.0))["row"][-1]
+    rows = rows.with_columns(losses=(pl.col("row") == last).cast(pl.Int64)).drop("row")
+    (recording,) = run_data(ScoredTracks(rows, tracks.folders, []), None, "uwb")["recordings"]
+    columns = _unpacked(recording)
     assert recording["rows"] == recording["drawn"] == len(rows)
     for name, column in (("v0", "x_m"), ("v1", "y_m"), ("s0", "std_x_m"), ("nis", "nis")):
         np.testing.assert_allclose(columns[name], float_column(rows, column), rtol=1e-6)
@@ -44,7 +46,7 @@ def test_columns_tracks_events_and_sources_are_those_of_the_tables(tracks):
     assert {track["tag"] for track in recording["tracks"]} == set(TAGS)
     (event,) = recording["events"]
     assert recording["tracks"][event["track"]]["tag"] == "B"
-    assert recording["start"] + event["t"] == 5.0
+    assert recording["start"] + event["t"] == pytest.approx(5.0)
     assert recording["sources"][columns["source"][recording["tracks"][0]["first"]]] == "1"
 
 
@@ -52,7 +54,7 @@ def test_a_row_has_its_word_of_status_and_is_ok_with_an_unknown_one_or_none():
     tracks = small_tracks(rows=7, tags=("A",))
     words = ["waiting", "ok", "lost", "restarted", "non-finite", "drifting", None]
     rows = tracks.rows.with_columns(status=pl.Series(words))
-    (recording,) = run_data(ScoredTracks(rows, tracks.folders, []), NO_EVENTS, None, "uwb")["recordings"]
+    (recording,) = run_data(ScoredTracks(rows, tracks.folders, []), None, "uwb")["recordings"]
     shown = [recording["statuses"][number] for number in _unpacked(recording)["status"]]
     assert shown == [*words[:5], "ok", "ok"]
 
@@ -66,7 +68,7 @@ def test_the_rig_is_drawn_where_the_estimates_are(tracks):
     moved = replace(folder, rig=replace(folder.rig, anchors=anchors, walls=walls, path_knots=path))
     places = [(pl.col(f"{a}_m") + by).alias(f"{a}_m") for a, by in zip("xy", east, strict=True)]
     rows = scored_rows(tracks.rows.with_columns(places), {"hall": folder.tables["truth"].with_columns(places)})
-    (drawn,) = run_data(ScoredTracks(rows, [moved], []), NO_EVENTS, None, "uwb")["recordings"]
+    (drawn,) = run_data(ScoredTracks(rows, [moved], []), None, "uwb")["recordings"]
     origin = np.array(drawn["origin"])
     assert np.all(origin > 1e5)
     np.testing.assert_allclose(np.array(drawn["rig"]["walls"]).reshape(-1, 2) + origin, walls.reshape(-1, 2))
@@ -91,7 +93,7 @@ def test_of_many_rows_and_tracks_ends_peaks_and_ranks_are_drawn():
 
 def test_a_long_recording_is_decimated_within_the_size_of_a_page():
     tracks = small_tracks(rows=500, tags=tuple(f"tag-{k}" for k in range(200)))
-    run = run_data(tracks, NO_EVENTS, None, "uwb")
+    run = run_data(tracks, None, "uwb")
     assert len(track_page([run], "trackwright track hall").encode()) < 8e6
     assert run["recordings"][0]["rows"] == 100_000
     assert run["recordings"][0]["drawn"] <= 25_400
@@ -99,7 +101,7 @@ def test_a_long_recording_is_decimated_within_the_size_of_a_page():
 
 def test_no_text_of_a_user_ends_a_script_or_becomes_markup_and_nothing_is_loaded(tracks):
     evaluation = Evaluation.of(tracks.rows)
-    text = track_page([run_data(tracks, NO_EVENTS, evaluation, f"mine {NASTY}", NASTY)], f"track {NASTY}")
+    text = track_page([run_data(tracks, evaluation, f"mine {NASTY}", NASTY)], f"track {NASTY}")
     assert NASTY not in text
 
     class Scripts(HTMLParser):
@@ -126,7 +128,7 @@ def test_no_text_of_a_user_ends_a_script_or_becomes_markup_and_nothing_is_loaded
 @pytest.mark.parametrize("in_plane", [True, False])
 def test_directions_are_in_degrees_and_one_in_an_arrays_plane_is_one_angle(in_plane):
     tracks, estimate, true = small_bearings(in_plane)
-    run = run_data(tracks, NO_EVENTS, Evaluation.of(tracks.rows), "das")
+    run = run_data(tracks, Evaluation.of(tracks.rows), "das")
     (recording,) = run["recordings"]
     columns = _unpacked(recording)
     assert [axis["name"] for axis in recording["axes"]] == (
@@ -151,7 +153,7 @@ def test_the_band_of_nis_is_that_of_the_tracker_s_noise_and_empty_without_a_trac
     bands = []
     for batches in (tracks.batches, ()):
         scored = ScoredTracks(scored_rows(tracks.table, {folder.name: folder.tables["truth"]}), [folder], batches)
-        bands.append(run_data(scored, NO_EVENTS, None, "uwb")["recordings"][0]["nisBand"])
+        bands.append(run_data(scored, None, "uwb")["recordings"][0]["nisBand"])
     # The NIS of four ranges with Student's t of 1.8 degrees of freedom; with normal noise it ends at 2.79.
     assert bands[0] == pytest.approx([0.25, 1.91], abs=0.06)
     assert bands[1] == []
@@ -162,7 +164,7 @@ def test_errors_of_a_given_height_are_in_no_column():
         tracks = small_tracks()
         rows = tracks.rows.with_columns(std_z_m=pl.lit(std))
         rows = scored_rows(rows, {f.name: f.tables["truth"] for f in tracks.folders})
-        run = run_data(ScoredTracks(rows, tracks.folders, []), NO_EVENTS, Evaluation.of(rows), "uwb")
+        run = run_data(ScoredTracks(rows, tracks.folders, []), Evaluation.of(rows), "uwb")
         assert {"rmse_3d_m" in line for line in run["metrics"]} == {there}
         assert len(run["recordings"][0]["axes"]) == 2 + there
 

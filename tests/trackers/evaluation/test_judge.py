@@ -7,14 +7,9 @@ import polars as pl
 import pytest
 from scipy.stats import chi2
 
-from trackwright.trackers.evaluation.judge import (
-    LEAST_SAMPLES,
-    UNCERTAIN,
-    band,
-    correlation_times,
-    energy_scores,
-    regret,
-)
+from trackwright.trackers.evaluation.metrics import UNCERTAIN, metrics
+from trackwright.trackers.evaluation.rows import correlation_times, energy_scores
+from trackwright.trackers.evaluation.statements import LEAST_SAMPLES
 
 WORLDS = 400
 
@@ -28,15 +23,18 @@ def _errors(rng, rows, step, lasts):
     return x
 
 
-def _band(samples, dof, z):
-    return pl.DataFrame({"n": samples}).select(band(pl.col("n"), dof, z)).to_series().to_numpy()
+def _bands(samples, dof=2):
+    """The limits of NEES/dof of so many effective samples."""
+    name = "nees" if dof == 2 else "nees_3d"
+    of = metrics(pl.DataFrame({f"n {name}": samples, f"slow {name}": samples}), [f"{name}_low", f"{name}_high"])
+    return of.to_numpy().T
 
 
 def _judged(worlds, factor=1.0):
     """Effective samples of each world, and whether NEES/dof of errors times `factor` lies in the band."""
     rows = worlds.shape[1]
-    samples = rows / correlation_times(factor * worlds.reshape(-1, 2), np.arange(0, WORLDS * rows + 1, rows))
-    low, high = (_band(samples, 2, z) for z in (-1.96, 1.96))
+    samples = rows / correlation_times(factor * worlds.reshape(-1, 2), np.repeat(np.arange(WORLDS), rows))[::rows]
+    low, high = _bands(samples)
     ratio = factor**2 * (worlds**2).mean(axis=(1, 2))
     return samples, (low <= ratio) & (ratio <= high)
 
@@ -78,22 +76,25 @@ def test_effective_samples_are_those_of_the_known_correlation():
 def test_tracks_of_other_lengths_do_not_change_the_correlation_of_one():
     x = _errors(np.random.default_rng(9), 300, 0.5, 2.0)[0]
     x[-1] = 0.0
-    together = correlation_times(np.concatenate([x, x[:1], x[:120], x]), np.array([0, 300, 301, 301, 421, 721]))
-    alone = [*correlation_times(x, np.array([0, 300])), 1.0, 1.0, *correlation_times(x[:120], np.array([0, 120]))]
-    np.testing.assert_allclose(together, [*alone, alone[0]])
-    assert (correlation_times(np.zeros((5, 2)), np.array([0, 5])) == 1.0).all()
+    lengths = (300, 1, 120, 300)
+    together = correlation_times(np.concatenate([x, x[:1], x[:120], x]), np.repeat([0, 1, 3, 4], lengths))
+    alone = [correlation_times(x[:length], np.zeros(length, int))[0] for length in lengths]
+    np.testing.assert_allclose(together, np.repeat(alone, lengths))
+    assert alone[1] == 1.0
+    assert (correlation_times(np.zeros((5, 2)), np.zeros(5, int)) == 1.0).all()
 
 
 @pytest.mark.parametrize("samples", [10.0, 100.0, 10_000.0])
 def test_the_band_is_that_of_chi_square(samples):
     n = 3 * samples**2 / (samples + UNCERTAIN)
-    found = [_band(np.array([samples]), 3, z)[0] for z in (-1.96, 1.96)]
+    found = _bands(np.array([samples]), 3)[:, 0]
     np.testing.assert_allclose(found, chi2.ppf([0.025, 0.975], n) / n, rtol=2e-3)
 
 
 def test_regret_is_the_log_density_that_the_scale_loses():
     ratio = np.array([0.16, 0.41, 0.62, 1.0, 1.52, 1.98, 3.15])
-    found = pl.DataFrame({"ratio": [*ratio, 0.0]}).select(regret(pl.col("ratio"))).to_series()
+    terms = pl.DataFrame({"sum nees": [*(2 * ratio), 0.0], "n nees": 1.0})
+    found = metrics(terms, ["regret"]).to_series()
     np.testing.assert_allclose(found[:-1], [1.0, 0.3, 0.1, 0.0, 0.1, 0.3, 1.0], atol=0.011)
     assert found[-1] is None
 
