@@ -16,8 +16,7 @@ from jaxtyping import Float, Num
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.recordings.reading_grids import REPEATED, ReadingGrid
-from trackwright.tuning.parameters import Parameter, grid_of, split
+from trackwright.tuning.parameters import Parameter, split
 from trackwright.tuning.parts import BESIDE, Computation, Point, plain_rows
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import Uncertainty
@@ -44,29 +43,15 @@ def collapsed(
     parameters: Sequence[Parameter],
     start: Float[np.ndarray, " p"],
     end: Float[np.ndarray, " p"],
-    grids: Sequence[ReadingGrid],
     uncertainty: Uncertainty | None = None,
 ) -> Iterator[str]:
-    """Clauses on noise levels that fell to the rounding of their readings, or to a thousandth of their start.
-
-    The latter where the recordings do not determine them.
-    """
+    """Clauses on noise levels that fell to a thousandth of their start where the recordings do not determine them."""
     for (parameter, first), (_, last) in zip(split(parameters, start), split(parameters, end), strict=True):
-        if not isinstance(parameter.example, Scale):
-            continue
-        low, grid, unit = float(np.exp(last.min())), grid_of(grids, parameter), parameter.example.unit
-        fell = grid is not None and low <= 1.001 * grid.lowest < float(np.exp(first.min()))
-        if grid is not None and fell:
-            what = "rounding" if grid.lowest == grid.floor else "changes"
-            size = f"step {grid.step:.3g}" if what == "rounding" else f"typically {grid.change:.3g}"
+        fell = isinstance(parameter.example, Scale) and np.min(last - first) < math.log(COLLAPSED)
+        if fell and not _determined(uncertainty, parameter):
             yield (
-                f"{parameter.label} fell to {low:.3g} {unit}, the {what} of its readings ({size} {unit} / √12), below "
-                "which it is not fitted: readings that repeat drive it down"
-            )
-        elif np.min(last - first) < math.log(COLLAPSED) and not _determined(uncertainty, parameter):
-            yield (
-                f"{parameter.label} collapsed to {low:.3g} {unit}, less than a thousandth of its starting "
-                "value: give bounds"
+                f"{parameter.label} collapsed to {float(np.exp(last.min())):.3g} {parameter.example.unit}, less than a "
+                "thousandth of its starting value: give bounds"
             )
 
 
@@ -76,17 +61,6 @@ def _determined(uncertainty: Uncertainty | None, parameter: Parameter) -> bool:
         return False
     sigmas = np.where(uncertainty.undetermined | uncertainty.at_bound, np.inf, uncertainty.sigmas)
     return any(p.label == parameter.label and np.all(x < 1.0) for p, x in split(uncertainty.parameters, sigmas))
-
-
-def repetitions(grids: Sequence[ReadingGrid]) -> Iterator[str]:
-    """Clauses on sensors most of whose readings repeat the one before."""
-    for grid in {grid.sensor: grid for grid in reversed(grids)}.values():
-        if grid.repeated > REPEATED:
-            step = f" (in steps of {grid.step:.3g} {grid.unit})" if math.isfinite(grid.step) else ""
-            yield (
-                f"{100 * grid.repeated:.0f} % of the readings of {grid.sensor} repeat the one before{step}: a "
-                "likelihood takes them for independent readings"
-            )
 
 
 def correlation(problem: Problem, vector: Float[np.ndarray, " p"]) -> list[str]:
