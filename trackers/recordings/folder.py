@@ -23,11 +23,10 @@ from trackwright.trackers.core.errors import UnusableInput, has_control, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.checks.rules import check_rows
-from trackwright.trackers.recordings.columns import TableRows, TagRows
+from trackwright.trackers.recordings.columns import TableRows, TagRows, TruePaths
 from trackwright.trackers.recordings.kinds import KINDS, Layout, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackwright.trackers.recordings.tables import SUFFIXES, read_table
-from trackwright.trackers.recordings.truth import TruePaths
 
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.calibration import Calibration
