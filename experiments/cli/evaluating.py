@@ -21,10 +21,9 @@ from trackwright.trackers.evaluation.evaluate import (
     rows_of,
     violation,
 )
-from trackwright.trackers.recordings.archives import read_archive
 from trackwright.trackers.recordings.atomic import held, json_text, write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, require_sources
+from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_archive, read_tracks, require_sources
 
 COMPARISON = "comparison.html"  # the page that compares runs
 
