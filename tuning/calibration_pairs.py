@@ -13,10 +13,10 @@ import polars as pl
 from scipy.stats import f_oneway
 
 from trackwright.trackers.core.model.rig import Point
+from trackwright.trackers.recordings.columns import TruthStatus, independent_pieces
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import Kind, wrapped
 from trackwright.trackers.recordings.trajectories import known_heights
-from trackwright.trackers.recordings.truth import TruthStatus, independent_pieces
 
 PLACE_M = 1.0
 """Side of the squares of the floor, m, within which errors count as dependent."""

@@ -34,10 +34,10 @@ from trackwright.trackers.core.errors import has_control, one_line
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.metrics import added, metrics, sums
-from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, content_of
 from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, held, json_text, write_whole
+from trackwright.trackers.recordings.folder import content_of
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
-from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text
+from trackwright.trackers.recordings.tracks_table import EVALUATION, RECORDINGS, RESULTS, SOURCES, TRACKS, sources_text
 
 FINISHED, ERRORS = "tracked.json", "tracked.parquet"
 """The file written last for a recording, and its errors, which the percentiles of all are taken from."""

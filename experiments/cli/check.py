@@ -27,11 +27,10 @@ def check(*recordings: Recording, tracker: Name | None = None, json: bool = Fals
         json: print JSON instead of lines: by folder, the results with level, where and message.
     """
     from trackwright.trackers.catalogue import run_files
-    from trackwright.trackers.recordings.archives import recordings_under
     from trackwright.trackers.recordings.atomic import json_text
     from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
-    from trackwright.trackers.recordings.folder import read_recording
+    from trackwright.trackers.recordings.folder import read_recording, recordings_under
 
     run_files(tracker)
     failed, by_folder = False, {}
@@ -57,7 +56,7 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False)
         out: the file to write, as calibration.toml; the page and its figures go beside it.
         force: replace a file that exists, and take recordings in spite of the errors that `trackwright check` finds.
     """
-    from trackwright.trackers.recordings.archives import require_new
+    from trackwright.trackers.recordings.tracks_table import require_new
 
     require_new(out, "calibration.toml", force)
     from trackwright.experiments.cli.console import notices, output_folder, running
@@ -101,7 +100,7 @@ def survey(
         height: of the tags, m; default: as in rig.toml, else estimated.
         force: replace a file that exists, and take ranges in spite of the errors that `trackwright check` finds.
     """
-    from trackwright.trackers.recordings.archives import require_new
+    from trackwright.trackers.recordings.tracks_table import require_new
 
     require_new(out, "rig.toml", force)
     from trackwright.experiments.cli.console import notices, running

@@ -30,10 +30,17 @@ from trackwright.trackers.evaluation.evaluate import (
     rows_of,
     violation,
 )
-from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, read_archive
 from trackwright.trackers.recordings.atomic import json_text, write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
-from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, require_sources
+from trackwright.trackers.recordings.tracks_table import (
+    EVALUATION,
+    RECORDINGS,
+    RESULTS,
+    TRACKS,
+    read_archive,
+    read_tracks,
+    require_sources,
+)
 
 COMPARISON = "comparison.html"  # the page that compares runs
 

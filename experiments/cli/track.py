@@ -24,8 +24,8 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
     """
     from trackwright.experiments.cli.console import keep_programs, prepared, running
-    from trackwright.trackers.recordings.archives import archive_of
     from trackwright.trackers.recordings.atomic import json_text
+    from trackwright.trackers.recordings.folder import archive_of
 
     options.read()
     with running("track", options.json) as begin:

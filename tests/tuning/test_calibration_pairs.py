@@ -6,9 +6,9 @@ import pytest
 
 from tests.tuning.calibration_worlds import lasting, walk
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.columns import PIECE_M, PIECE_S
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.trackers.recordings.truth import PIECE_M, PIECE_S
 from trackwright.tuning.calibration_pairs import calibration_pairs, differs_by_distance
 
 

@@ -12,9 +12,8 @@ from trackwright.trackers.core.data.consistency import eliminated, upper_entries
 from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Station
-from trackwright.trackers.recordings.columns import float_column, require_columns
+from trackwright.trackers.recordings.columns import TruePaths, TruthStatus, float_column, require_columns
 from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, track_keys
-from trackwright.trackers.recordings.truth import TruePaths, TruthStatus
 
 Stations = Mapping[str, Mapping[str, Station]]
 """By recording, its stations by id."""

@@ -20,8 +20,7 @@ from trackwright.trackers.exchange.expressions import numbers_of
 from trackwright.trackers.exchange.mapping import refuse_lost_digits
 from trackwright.trackers.exchange.trajectories import Poses, Similarity, poses_of, read_trajectory
 from trackwright.trackers.recordings.checks.rules import check_units
-from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
-from trackwright.trackers.recordings.selection import Selection
+from trackwright.trackers.recordings.folder import RecordingFolder, Selection, read_recordings
 from trackwright.trackers.recordings.tables import SUFFIXES, check_stds, read_table_file
 from trackwright.trackers.recordings.tracks_table import is_bearing, read_tracks
 

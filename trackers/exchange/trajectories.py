@@ -19,9 +19,8 @@ from trackwright.trackers.exchange.expressions import numbers_of
 from trackwright.trackers.exchange.mapping import Asked, Source, refuse_lost_digits
 from trackwright.trackers.exchange.text_tables import Reading, read_rows
 from trackwright.trackers.recordings.atomic import write_whole
-from trackwright.trackers.recordings.columns import float_column
+from trackwright.trackers.recordings.columns import QUATERNION, float_column
 from trackwright.trackers.recordings.folder import read_recording
-from trackwright.trackers.recordings.kinds import QUATERNION
 from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.tables import TableFile, first_row, restarted_at, unwrapped_times
 from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, read_tracks

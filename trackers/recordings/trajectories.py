@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from trackwright.trackers.core.data.recording import Columns, Readings, Recording, each_array
+from trackwright.trackers.recordings.columns import TruthStatus
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import Kind, std_column
-from trackwright.trackers.recordings.truth import TruthStatus
 
 
 @dataclass(frozen=True)

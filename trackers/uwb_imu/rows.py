@@ -27,9 +27,8 @@ from trackwright.trackers.parts.range_rows import (
 )
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.recent_positions import latest_rows
-from trackwright.trackers.recordings.columns import TableRows, TagRows
+from trackwright.trackers.recordings.columns import QUATERNION, TableRows, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import QUATERNION
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
     Trajectories,

@@ -13,9 +13,8 @@ import numpy as np
 from trackwright.trackers.core.data.recording import Columns, Readings
 from trackwright.trackers.parts.range_rows import room_of_anchors
 from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced
-from trackwright.trackers.recordings.columns import TagRows
+from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import QUATERNION
 from trackwright.trackers.recordings.trajectories import Trajectories, known_height, trajectories_of
 
 

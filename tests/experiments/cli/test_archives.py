@@ -17,9 +17,8 @@ from trackwright.experiments.jobs.executors import WorkerExecutor, environment
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import evaluate
-from trackwright.trackers.recordings.archives import MANY, archive_of
 from trackwright.trackers.recordings.atomic import held
-from trackwright.trackers.recordings.folder import read_recording, write_recording
+from trackwright.trackers.recordings.folder import MANY, archive_of, read_recording, write_recording
 
 COUNT = 16
 BROKEN, FAILING = (3, 11, 12), 14

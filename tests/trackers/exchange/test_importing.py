@@ -14,8 +14,8 @@ from tests.in_process import assert_refused_last, trackwright
 from trackwright.trackers.evaluation.rows import AXES
 from trackwright.trackers.exchange.trajectories import Similarity, write_trajectory
 from trackwright.trackers.exchange.truth_frame import leaning
+from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import read_recording, write_recording
-from trackwright.trackers.recordings.kinds import QUATERNION
 
 RIG = 'format = 1\nname = "hall 3"\n[anchors]\nA1 = [0.0, 0.0, 2.0]\nA2 = [6.0, 0.0, 2.5]\n0x0F = [0.0, 5.0, 2.2]\n'
 WIDE = ("t_s=t", "range_m[A1]=d1", "range_m[A2]=d2")

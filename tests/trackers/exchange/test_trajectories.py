@@ -14,8 +14,8 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.rows import AXES, covariances
 from trackwright.trackers.exchange.pose_errors import associate, compare_trajectories
 from trackwright.trackers.exchange.trajectories import Similarity, read_trajectory, write_trajectory
+from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import read_recording
-from trackwright.trackers.recordings.kinds import QUATERNION
 
 RECORDINGS = ("tiers-1tag-01", "tiers-2tag-03", "iasl-drone-1", "starloc-fast-s1", "rcv-drone-3")
 STEPS = ("1m", "10f")

@@ -14,10 +14,10 @@ import pytest
 
 from tests.faulty import RIG, write_good
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.archives import require_output
 from trackwright.trackers.recordings.atomic import ABANDONED_S, PREFIX, atomic_write, json_text, remove_abandoned
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.input_file import read_arrays, read_toml
+from trackwright.trackers.recordings.tracks_table import require_output
 
 
 @pytest.mark.parametrize(

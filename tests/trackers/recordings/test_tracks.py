@@ -8,6 +8,7 @@ import pytest
 
 import trackwright as tw
 from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
+from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.trackers.core.data.estimates import STEP_COLUMNS, Estimates, Status
 from trackwright.trackers.core.model.algebra import Vector

@@ -8,9 +8,8 @@ import pytest
 
 import trackwright as tw
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.folder import RecordingFolder, Selection
 from trackwright.trackers.recordings.rig_file import read_rig, rig_text
-from trackwright.trackers.recordings.selection import Selection
 from trackwright.tuning.calibrating import calibrate
 
 CORNERS = {f"A{k}": np.array(place) for k, place in enumerate([(-3, -3, 2.2), (3, -3, 2.6), (3, 3, 2.2), (-3, 3, 2.6)])}
