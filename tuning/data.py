@@ -21,7 +21,6 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_l
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
-from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.objectives import (
     AbstractObjective,
     Loss,
@@ -29,6 +28,7 @@ from trackwright.tuning.objectives import (
     MissingQuantityError,
     StateLogLikelihood,
     name_of,
+    parse_objective,
 )
 from trackwright.tuning.problem import Problem, is_stochastic
 

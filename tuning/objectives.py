@@ -1,4 +1,4 @@
-"""Objectives of a fit, each a function of sums over rows and trajectories of any number of recordings.
+"""Objectives of a fit, each a function of sums over rows and trajectories of any number of recordings; their names.
 
 e  estimate − truth of a quantity, (d,)        S  its reported covariance        NEES  eᵀS⁻¹e
 """
@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -303,3 +305,51 @@ def _covariance_of(output: Output, quantity: str, dimensions: int) -> dict[tuple
     # States are written for one trajectory: vmap tells their vector leaves from vectors of trajectories.
     each = jax.vmap(of_trajectory, in_axes=-1, out_axes=-1) if jnp.ndim(output.status) else of_trajectory
     return each(output.mean, output.cov)
+
+
+HEIGHT_WEIGHT = 0.5
+"""Weight of an estimated height beside each coordinate of the plane in `state-nll`.
+
+Noise levels that act on the height alone are fitted to it all the same; those that it shares with the plane follow the
+plane's two coordinates, four times as heavy.
+"""
+
+OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxyType(
+    {
+        "nll": lambda quantity, dimensions: NegativeLogLikelihood(),
+        "rmse": RootMeanSquareError,
+        "state-nll": lambda quantity, dimensions: StateLogLikelihood(
+            quantity, dimensions, HEIGHT_WEIGHT if dimensions == 3 else 1.0
+        ),
+    }
+)
+"""Constructors by name, each of a quantity and its number of components."""
+
+SUMMAND = re.compile(r"\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?([a-z][a-z-]*)\s*")
+
+
+def parse_objective(text: str, quantity: str = "position", dimensions: int = 2) -> AbstractObjective:
+    """The objective of a text such as `nll`, or `0.1*rmse + nll`.
+
+    Raises ValueError for an unknown or duplicate name, and for a weight that isn't positive.
+    """
+    parts: dict[str, AbstractObjective] = {}
+    weights, at = [], 0
+    while True:
+        match = SUMMAND.match(text, at)
+        if match is None or match[2] not in OBJECTIVES or match[2] in parts:
+            names = ", ".join(OBJECTIVES)
+            raise ValueError(f"'{text}' is no objective; expected some of {names}, each once, as 'nll+0.1*rmse'")
+        try:
+            weights.append(float(match[1] or 1.0))
+        except ValueError as error:
+            raise ValueError(f"'{text}': the weight '{match[1]}' is not a number") from error
+        parts[match[2]] = OBJECTIVES[match[2]](quantity, dimensions)
+        at = match.end()
+        if at == len(text):
+            break
+        if text[at] != "+":
+            raise ValueError(f"'{text}': found '{text[at:]}' where '+' and another objective were expected")
+        at += 1
+    only = list(parts.values())
+    return only[0] if len(only) == 1 and weights == [1.0] else Weighted(tuple(only), tuple(weights))

@@ -31,7 +31,7 @@ from trackwright.trackers.recordings.input_file import identity
 from trackwright.tuning import parameters as numbers
 from trackwright.tuning.data import FitData, fit_data
 from trackwright.tuning.fit_warnings import cautions, without_intervals
-from trackwright.tuning.fitting import Place
+from trackwright.tuning.fitting import Progress
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.problem import is_stochastic
 from trackwright.tuning.sweeping import grid_vectors, swept_parameters
@@ -128,9 +128,9 @@ def _fit(
         prior=options.prior,
     )
     run.begin("searching for starts" if options.starts > 1 else "first evaluation")
-    depends, place = config(options, "resume", "check"), Place(report=report, stage=run.begin)
+    depends, progress = config(options, "resume", "check"), Progress(report=report, stage=run.begin)
     out, say = output_folder(options.out), lambda line: notices([line])
-    return kept_fit(data, options.tune or (), how, place, out, depends, options.resume, say)
+    return kept_fit(data, options.tune or (), how, progress, out, depends, options.resume, say)
 
 
 def judged(fitted: Fitted, before: pl.DataFrame) -> changes.Compared:

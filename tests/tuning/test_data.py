@@ -21,7 +21,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.data import fit_arrays, fit_data, trajectory_weights
-from trackwright.tuning.named_objectives import parse_objective
+from trackwright.tuning.objectives import parse_objective
 from trackwright.tuning.parameters import flatten, select_parameters, tuned_by_default
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import optimum

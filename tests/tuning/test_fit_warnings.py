@@ -12,7 +12,7 @@ from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.model.covariance import FEW
 from trackwright.tuning.fitting import left_out_values
 from trackwright.tuning.objectives import NegativeLogLikelihood, StateLogLikelihood
-from trackwright.tuning.optimisers import AbstractOptimiser
+from trackwright.tuning.optimisation import AbstractOptimiser
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.weight import WINDOWS_S, rows_and_inflation, window_sums

@@ -14,10 +14,9 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import tunables
 from trackwright.trackers.core.run.chunks import jitted
 from trackwright.tuning.checkpoint import to_arrays
-from trackwright.tuning.fitting import FitOptions, Place, fit
+from trackwright.tuning.fitting import FitOptions, Progress, fit
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
-from trackwright.tuning.optimisation import PATIENCE
-from trackwright.tuning.optimisers import LBFGS, Adam
+from trackwright.tuning.optimisation import LBFGS, PATIENCE, Adam
 from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
 from trackwright.tuning.problem import Problem, sums_with_derivatives
 
@@ -221,10 +220,13 @@ def test_recordings_without_a_scored_row_are_refused(objective, error, words):
 @pytest.mark.parametrize("optimiser", [LBFGS(), Adam(5)], ids=["LBFGS", "Adam"])
 def test_a_fit_resumed_at_any_step_is_bit_identical(line_world, optimiser):
     saved = []
-    options, on = FitOptions(steps=5, starts=3, optimiser=optimiser), Place(report=lambda s: saved.append(to_arrays(s)))
+    options, on = (
+        FitOptions(steps=5, starts=3, optimiser=optimiser),
+        Progress(report=lambda s: saved.append(to_arrays(s))),
+    )
     whole = fit(line_tracker(), line_world, NLL, LEVELS, options, on)
     for arrays in saved[:-1:2]:
-        again = fit(line_tracker(), line_world, NLL, LEVELS, options, Place(resume=arrays))
+        again = fit(line_tracker(), line_world, NLL, LEVELS, options, Progress(resume=arrays))
         assert np.array_equal(again.vector, whole.vector)
         assert again.starts == whole.starts
         assert again.filter_runs == whole.filter_runs
@@ -232,7 +234,7 @@ def test_a_fit_resumed_at_any_step_is_bit_identical(line_world, optimiser):
 
 def test_starts_of_adam_end_where_they_no_longer_improve_or_meet_a_better_one(line_world):
     seen, rmse = [], RootMeanSquareError(dimensions=1)
-    options, on = FitOptions(steps=300, optimiser=Adam(300)), Place(report=seen.append)
+    options, on = FitOptions(steps=300, optimiser=Adam(300)), Progress(report=seen.append)
     alone = fit(line_tracker(), line_world, rmse, LEVELS, options, on)
     assert PATIENCE < seen[-1].number < 150
     # Other starts, a factor of ten away, end where they come near the best point of a better one.
@@ -246,7 +248,7 @@ def test_an_interrupted_fit_keeps_its_best_point(line_world):
         if state.number == 2:
             raise KeyboardInterrupt
 
-    result = fit(line_tracker(sigma=2.0), line_world, NLL, LEVELS, on=Place(report=stop))
+    result = fit(line_tracker(sigma=2.0), line_world, NLL, LEVELS, progress=Progress(report=stop))
     assert result.uncertainty is None
     assert result.value < result.start_value
     assert len(result.trace) == 3

@@ -20,8 +20,13 @@ from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.evaluation.evaluate import rows_of
 from trackwright.trackers.evaluation.rows import covariances
 from trackwright.tuning.data import fit_data
-from trackwright.tuning.named_objectives import HEIGHT_WEIGHT, parse_objective
-from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
+from trackwright.tuning.objectives import (
+    HEIGHT_WEIGHT,
+    NegativeLogLikelihood,
+    RootMeanSquareError,
+    Weighted,
+    parse_objective,
+)
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 

@@ -8,8 +8,7 @@ import pytest
 from tests.tuning.worlds import line_tracker, walks
 from trackwright.trackers.core.data.recording import stack
 from trackwright.tuning.objectives import NegativeLogLikelihood
-from trackwright.tuning.optimisation import MultiStart
-from trackwright.tuning.optimisers import LBFGS
+from trackwright.tuning.optimisation import LBFGS, MultiStart
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 

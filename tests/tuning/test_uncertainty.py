@@ -13,8 +13,7 @@ from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
 from trackwright.tuning.fit_warnings import identifiability_issues
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
-from trackwright.tuning.parameters import Parameter, flatten, select_parameters
-from trackwright.tuning.priors import Prior
+from trackwright.tuning.parameters import Parameter, Prior, flatten, select_parameters
 from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import (
     Optimum,

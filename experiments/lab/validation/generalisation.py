@@ -12,7 +12,7 @@ from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.experiments.lab.validation.sites import read, recordings
 from trackwright.experiments.pages.reports.before_after import judge, tracked
 from trackwright.trackers.evaluation.evaluate import Evaluation
-from trackwright.tuning.priors import Kind
+from trackwright.tuning.parameters import PriorKind
 
 SITES = {
     "ble51-walk-*": "bearings", "starloc-*": "uwb", "rcv-drone-*": "uwb", "iasl-drone-*": "uwb", "tiers-*": "fix-kf",
@@ -30,12 +30,12 @@ def cases() -> Iterator[Case]:
         for count in (n for n in COUNTS if n < len(names)):
             for k, name in enumerate(names):
                 fitted_to = (*names[k + 1 :], *names[:k])[:count]
-                for prior in get_args(Kind):
+                for prior in get_args(PriorKind):
                     measure = partial(figures, tracker, name, fitted_to, prior)
                     yield Case(name, tracker, f"{prior}, fitted to {', '.join(fitted_to)}", measure)
 
 
-def figures(tracker: str, name: str, fitted_to: tuple[str, ...], prior: Kind) -> Figures:
+def figures(tracker: str, name: str, fitted_to: tuple[str, ...], prior: PriorKind) -> Figures:
     """The log density and the errors of a recording, after and before."""
     folder, others = read(name), [read(other) for other in fitted_to]
     named = tw.build(tracker, [*others, folder])

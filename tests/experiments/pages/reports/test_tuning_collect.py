@@ -12,7 +12,7 @@ from trackwright.trackers.recordings.tracks import batches
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fit_warnings import Issue
 from trackwright.tuning.fitting import FitOptions, fit
-from trackwright.tuning.named_objectives import parse_objective
+from trackwright.tuning.objectives import parse_objective
 
 PATTERNS = ("motion.sigma_a", "sensors.fixes.sigma_horizontal")
 NLL = "nll"
