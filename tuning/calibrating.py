@@ -18,7 +18,6 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Point
-from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
     NO_DIFFERENCES,
@@ -37,7 +36,6 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.tuning.bearing_map import confirmed_map
 from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, end_factors
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
@@ -52,30 +50,10 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     """The systematic errors of stations, anchors and tags of recordings with truth, with their covariances.
 
     Stations, anchors and tags of one id in several recordings are one. Each recording has the same weight. Those with
-    fewer than 20 rows with truth are left out. Of several recordings with bearings also a map of what is left of these,
-    where it is confirmed.
+    fewer than 20 rows with truth are left out.
     Raises UnusableInput where none is left, and for a station or anchor that stands at several places.
     """
     folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
-    calibration = systematic(folders)
-    return replace(calibration, bearing_map=_bearing_map(folders, calibration))
-
-
-def _bearing_map(folders: Sequence[RecordingFolder], calibration: Calibration) -> BearingMap | None:
-    """What each recording with bearings confirms when it is left out."""
-    seen = [folder for folder in folders if {"bearings", "truth"} <= folder.tables.keys()]
-    if not calibration.stations or len(seen) < 2:
-        return None
-    pairs = calibration_pairs(seen, KINDS["bearings"])
-    without = [
-        _stations(calibration_pairs([other for other in seen if other is not left_out], KINDS["bearings"]))
-        for left_out in seen
-    ]
-    return confirmed_map(pairs, calibration, without)
-
-
-def systematic(folders: Sequence[RecordingFolder]) -> Calibration:
-    """The calibration without what follows the place; raises as `calibrate`."""
     check_at_rest(folders)
     stations = _stations(calibration_pairs(folders, KINDS["bearings"]))
     places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}

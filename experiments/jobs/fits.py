@@ -100,21 +100,16 @@ def cross_fitted(
         except (UnusableInput, KeyError) as error:
             lines.append(f"{path}: not cross-fitted ({error}): noise levels fitted to it are too small for others")
         parts.append(of_folder)
-    if seen and calibration.bearing_map is not None:
-        # Each recording would have a map, and a tracker, of its own.
-        lines.append(f"for the fit without the calibration's map of bearings, which has seen {seen[0].name}")
-        calibration = replace(calibration, bearing_map=None)
     return [[_spread_of(calibration, part) for part in of_folder] for of_folder in parts], lines
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the spreads of a calibration, and a map of bearings only where that has one."""
+    """The recording with the spreads of a calibration."""
     if part.calibration is None:
         return part
     differences = replace(part.calibration.differences, spread=whole.differences.spread)
-    by_place = None if whole.bearing_map is None else part.calibration.bearing_map
     own = replace(part.calibration, range_spread=whole.range_spread, differences=differences)
-    return replace(part, calibration=replace(own, bearing_map=by_place))
+    return replace(part, calibration=own)
 
 
 def with_fitted(named: NamedTracker, result: FitResult, values: Mapping[str, np.ndarray] | None = None) -> NamedTracker:

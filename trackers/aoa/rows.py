@@ -13,7 +13,6 @@ from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.das import DelayAndSum
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
-from trackwright.trackers.aoa.mapped_bearings import mapped_bearing_tracker
 from trackwright.trackers.aoa.rays import recent_points_of_each
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.rig import Station, room_rows
@@ -199,28 +198,7 @@ def _calibrated(trajectory: Trajectory) -> bool:
     return "calibration" in trajectory.recording.inputs
 
 
-def _map_key(trajectory: Trajectory) -> Hashable:
-    """What tells the map of a folder's calibration from others, and from none."""
-    calibration, folder = trajectory.folder.calibration, trajectory.folder
-    if calibration is None or calibration.bearing_map is None:
-        return ()
-    return calibration.bearing_map.key(list(folder.rig.stations)), folder.origin
-
-
-def _without_map(folder: RecordingFolder, free_height: bool) -> list[str]:
-    """A line where tags of unknown height are tracked without the map of the calibration."""
-    if folder.calibration is None or folder.calibration.bearing_map is None:
-        return []
-    unknown = free_height or np.isnan(known_heights(folder, folder.rows("bearings").tags)).any()
-    text = "the calibration's map of errors over the floor is not used for tags whose height is estimated"
-    return [f"{folder.path or folder.name}: bearings: {text}; give their height_m in rig.toml"] if unknown else []
-
-
 def _bearings(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    calibration, folder = trajectory.folder.calibration, trajectory.folder
-    if planar and calibration is not None and calibration.bearing_map is not None:
-        grid = calibration.bearing_map.grid(list(folder.rig.stations), folder.origin)
-        return mapped_bearing_tracker(_stations(trajectory), grid)
     return bearing_tracker(_stations(trajectory), planar, **(CALIBRATED if _calibrated(trajectory) else {}))
 
 
@@ -278,8 +256,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         trajectories=bearing_trajectories,
         build=_bearings,
         lacks=stations_of("bearings", 1),
-        geometry=lambda trajectory: (_stations(trajectory), _calibrated(trajectory), _map_key(trajectory)),
-        notices=_without_map,
+        geometry=lambda trajectory: (_stations(trajectory), _calibrated(trajectory)),
         every_row=(BEARINGS,),
     ),
 }

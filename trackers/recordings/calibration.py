@@ -22,7 +22,6 @@ from pydantic import BeforeValidator, Field
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Point, Rig, Station
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
-from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.input_file import AS_FILE, NUMBERS, Count, Number, Positive, read_model
 
 ANGLES = ("azimuth", "elevation")
@@ -225,8 +224,7 @@ class Calibration:
     """Systematic errors of stations, anchors and tags by their ids; `recordings`: their names in the fit.
 
     `range_spread`: how far the ranges of the fit scatter about it, m: the scale of Student's t, root mean square over
-    the anchors; None without anchors. `differences`: the biases of anchors in range differences. `bearing_map`: what
-    the stations leave of bearings by place, or None.
+    the anchors; None without anchors. `differences`: the biases of anchors in range differences.
     """
 
     __pydantic_config__: ClassVar = AS_FILE
@@ -237,14 +235,6 @@ class Calibration:
     recordings: tuple[str, ...] = ()
     range_spread: Positive | None = None
     differences: DifferenceCalibration = NO_DIFFERENCES
-    bearing_map: BearingMap | None = None
-
-    def __post_init__(self) -> None:
-        unknown = {*(self.bearing_map.stations if self.bearing_map else ())} - {*self.stations}
-        if unknown:
-            raise UnusableInput(
-                f"bearing_map has station {min(unknown)!r}, which is not calibrated; expected one that is"
-            )
 
     def at_rest(self, rig: Rig) -> Calibration:
         """The calibration of those stations and anchors of a rig that stand where they stood."""
@@ -261,13 +251,7 @@ class Calibration:
             for name, station in self.stations.items()
             if name in stations and (station.mounted is None or not has_turned(station.mounted, stations[name]))
         }
-        return replace(
-            self,
-            stations=mounted,
-            anchors=still,
-            differences=self.differences.of(unmoved),
-            bearing_map=None if self.bearing_map is None else self.bearing_map.of(list(mounted)),
-        )
+        return replace(self, stations=mounted, anchors=still, differences=self.differences.of(unmoved))
 
     def of_bearings(
         self, stations: Sequence[str], number: np.ndarray, measured: np.ndarray

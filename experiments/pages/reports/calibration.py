@@ -26,7 +26,7 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.tuning.calibrating import systematic
+from trackwright.tuning.calibrating import calibrate
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
 
 WIDTH, SHOWN = 150, 12
@@ -142,7 +142,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     without = list[Calibration | None]()
     for apart in folders:
         try:
-            without.append(systematic([folder for folder in folders if folder is not apart]))
+            without.append(calibrate([folder for folder in folders if folder is not apart]))
         except UnusableInput:
             without.append(None)
     for source in sources:
@@ -173,12 +173,6 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
             tables[name] = section._replace(head=section.head[:width], rows=shorter, looks={"calibrated": "after"})
     words = "\n".join(cell for table in tables.values() for row in (table.head, *table.rows) for cell in row)
     note = " ".join(text for word, text in NOTES.items() if word in words)
-    if by_place := calibration.bearing_map:
-        visits = sum(len(visits) for visits in by_place.stations.values())
-        note += (
-            f" A map of the errors of bearings over the floor is kept, of {visits} visits: visits left out are more "
-            f"probable by {by_place.gain:.3f} nats each than without it. `bearings` uses it for tags of known height."
-        )
     return Report(tables, sources, note)
 
 

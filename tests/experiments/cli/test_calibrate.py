@@ -4,18 +4,15 @@ import json
 import tomllib
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from tests.in_process import PLAIN, assert_refused, trackwright
 from tests.tuning.calibration_worlds import RIG, world
 from trackwright.experiments.jobs.fits import cross_fitted
 from trackwright.trackers.core.model.rig import Tag
-from trackwright.trackers.recordings.bearing_map import BearingMap
 from trackwright.trackers.recordings.calibration import Calibration, read_calibration, write_calibration
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 from trackwright.trackers.recordings.input_file import identity
-from trackwright.tuning.calibrating import calibrate
 
 
 @pytest.fixture(scope="module")
@@ -136,14 +133,3 @@ def test_a_noise_file_of_another_calibration_is_noticed(walks, tmp_path):
         assert (f"{noise}: fitted to recordings without a calibration, and {calibration} is given" in said.err) == bool(
             on
         )
-
-
-def test_a_fit_to_recordings_of_a_map_is_without_one():
-    _, folders = world(3, recordings=3)
-    visits = {name: np.array([[1.0, 2.0, 0.1, 0.0], [3.0, 2.0, -0.1, 0.0]]) for name in RIG.stations}
-    whole = replace(calibrate(folders), bearing_map=BearingMap(0.2, visits))
-    parts, said = cross_fitted([*folders, replace(folders[0], name="new").calibrated(whole)], whole)
-    assert [part.calibration.bearing_map for (part,) in parts] == [None] * 4
-    assert said[-1] == "for the fit without the calibration's map of bearings, which has seen walk 1"
-    ((new,),), _ = cross_fitted([replace(folders[0], name="new").calibrated(whole)], whole)
-    assert new.calibration.bearing_map is not None
