@@ -23,8 +23,6 @@ from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
 from trackwright.tuning.objectives import (
     AbstractObjective,
-    Loss,
-    MeanLoss,
     MissingQuantityError,
     StateLogLikelihood,
     name_of,
@@ -118,7 +116,7 @@ class FitData:
 
 def fit_data(
     batch: TrackerBatch,
-    objective: str | AbstractObjective | Loss | None,
+    objective: str | AbstractObjective | None,
     held_out: Sequence[RecordingFolder] = (),
     segment_rows: int = SEGMENT_ROWS,
     dimensions: int | None = None,
@@ -136,7 +134,7 @@ def fit_data(
     return segments_data(segmented, objective, {folder.name for folder in held_out}, dimensions, weigh)
 
 
-def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | Loss | None) -> int:
+def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | None) -> int:
     """3 where the height is estimated, every truth has heights and `state-nll` is judged, or chosen by default; else 2.
 
     An RMSE in space would be a badly determined height's, and near the plane of level anchors one is mirrored.
@@ -167,7 +165,7 @@ def fit_segments(batch: TrackerBatch, rows: int, dimensions: int) -> list[Trajec
 
 def segments_data(
     batch: TrackerBatch,
-    objective: str | AbstractObjective | Loss | None,
+    objective: str | AbstractObjective | None,
     apart: set[str],
     dimensions: int,
     weigh: Weigh,
@@ -235,13 +233,11 @@ def is_judged(tracker: AbstractTracker, batch: Batch, quantity: str) -> bool:
     return True
 
 
-def named_objective(objective: str | AbstractObjective | Loss, quantity: str, dimensions: int) -> AbstractObjective:
-    """The objective by name, as it is, or of a loss; raises UnusableInput for a name that is unknown or unfit."""
-    if isinstance(objective, AbstractObjective):
-        return objective
+def named_objective(objective: str | AbstractObjective, quantity: str, dimensions: int) -> AbstractObjective:
+    """The objective by name, or as it is; raises UnusableInput for a name that is unknown or unfit."""
     if not isinstance(objective, str):
-        require(callable(objective), "fit", objective, "an objective: a name, an AbstractObjective or a function")
-        return MeanLoss(objective)
+        require(isinstance(objective, AbstractObjective), "fit", objective, "an objective: a name or an object")
+        return objective
     try:
         return parse_objective(objective, quantity, dimensions)
     except ValueError as error:
@@ -284,7 +280,7 @@ class FitArrays(NamedTuple):
 def fit_arrays(
     tracker: AbstractTracker | NamedTracker,
     recordings: Any,
-    objective: str | AbstractObjective | Loss | None,
+    objective: str | AbstractObjective | None,
     held_out: Any,
     dimensions: int | None = None,
     weigh: Weigh = "recordings",
@@ -335,7 +331,7 @@ def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:
     return [stack([checked] if isinstance(checked, Recording) else checked)]
 
 
-def _check_truth(objective: str | AbstractObjective | Loss, batches: Sequence[Batch], where: str) -> None:
+def _check_truth(objective: str | AbstractObjective, batches: Sequence[Batch], where: str) -> None:
     """Raises UnusableInput for batches without any row whose truth is known."""
     if batches and not _has_truth(batches):
         raise UnusableInput(
@@ -349,7 +345,7 @@ def _has_truth(batches: Sequence[Batch]) -> bool:
 
 
 def _array_objective(
-    objective: str | AbstractObjective | Loss | None,
+    objective: str | AbstractObjective | None,
     tracker: AbstractTracker,
     rows: Sequence[Batch],
     apart: Sequence[Batch],

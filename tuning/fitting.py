@@ -22,7 +22,7 @@ from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, Weigh, fit_arrays
 from trackwright.tuning.fit_warnings import Issue, finished_cautions, identifiability_issues
-from trackwright.tuning.objectives import AbstractObjective, Loss
+from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.optimisation import (
     LBFGS,
     AbstractOptimiser,
@@ -31,7 +31,6 @@ from trackwright.tuning.optimisation import (
     MultiStart,
     initial_state,
     newton,
-    stands_still,
 )
 from trackwright.tuning.parameters import (
     Parameter,
@@ -58,9 +57,6 @@ from trackwright.tuning.uncertainty import (
 from trackwright.tuning.weight import discount, tempered_anew, weighed_anew
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
-
-OTHER_STARTS = 4
-"""Starts of a fit that did not move from its only one."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +199,7 @@ DEFAULTS, UNTOLD = FitOptions(), Progress()
 def fit(
     tracker: AnyTracker,
     recordings: Arrays | FitData | RecordingFolder | Sequence[RecordingFolder],
-    objective: str | AbstractObjective | Loss | None = None,
+    objective: str | AbstractObjective | None = None,
     tune: str | Sequence[str] | None = None,
     options: FitOptions = DEFAULTS,
     progress: Progress = UNTOLD,
@@ -211,16 +207,14 @@ def fit(
     """The tracker with the tunables matching `tune` fitted to minimise the objective.
 
     `tracker`, `recordings`: a tracker by name with recording folders, or a tracker with recordings in arrays: one,
-    several, or batches. `objective`: an object, its name as on the command line (`nll`, `rmse`, `state-nll`, ...), or a
-    function of a row's state and truth, whose mean is minimised (`tuning.objectives.MeanLoss`); default `state-nll`
-    where there is truth, else `nll`. `tune`: shell patterns; by default `parameters.tuned_by_default`. `options`: how
-    it is done; `progress`: what it tells, and from where it goes on.
+    several, or batches. `objective`: an object, or its name as on the command line (`nll`, `rmse`, `state-nll`, ...);
+    default `state-nll` where there is truth, else `nll`. `tune`: shell patterns; by default
+    `parameters.tuned_by_default`. `options`: how it is done; `progress`: what it tells, and from where it goes on.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The noise levels of a sensor whose readings in arrays have a step are not fitted below its rounding's,
-    step/√12, unless `bounds` name them. A fit that does not move from its only start has others. The result is the best
-    point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there. `FitResult.cautions` speak against
-    it.
+    step/√12, unless `bounds` name them. The result is the best point met, never worse than the start; an interrupt
+    (Ctrl-C) ends the fit there. `FitResult.cautions` speak against it.
     Raises ValueError for patterns that match nothing or can't be tied and for empty bounds; FloatingPointError where
     the objective is not finite at the first start.
     """
@@ -250,19 +244,15 @@ def fit(
     smooth = objective.has_density and not problem.stochastic
     optimiser = options.optimiser or (LBFGS() if smooth else Adam(options.steps))
     driver = MultiStart(problem, optimiser, options.steps, low, high, scoring)
-    starts = options.starts
     if progress.resume is not None:
         state = from_arrays(optimiser, progress.resume)
     else:
-        state = initial_state(driver, flatten(parameters), starts)
+        state = initial_state(driver, flatten(parameters), options.starts)
     interrupted = False
     try:
         progress.report(state)
-        while not driver.done(state) or (starts == 1 and stands_still(state)):
-            if driver.done(state):
-                starts, state = OTHER_STARTS, initial_state(driver, state.past_vectors[0, 0], OTHER_STARTS)
-            else:
-                state = driver.step(state)
+        while not driver.done(state):
+            state = driver.step(state)
             progress.report(state)
     except KeyboardInterrupt:
         interrupted = True

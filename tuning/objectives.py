@@ -27,13 +27,9 @@ Truth = dict[str, tuple[Any, Any]]
 """The truth of a row by quantity: its components, each (B,), and whether it is known (B,)."""
 
 
-Loss = Callable[[Any, dict[str, Any]], Scalar]
-"""A number of a row's state and of the true components by quantity."""
-
-
 def name_of(objective: object) -> str:
-    """The name of an objective or loss, or of its class, for messages."""
-    return objective if isinstance(objective, str) else getattr(objective, "__name__", type(objective).__name__)
+    """The name of an objective, or of its class, for messages."""
+    return objective if isinstance(objective, str) else type(objective).__name__
 
 
 class MissingQuantityError(ValueError):
@@ -130,31 +126,6 @@ class RootMeanSquareError(AbstractObjective):
 
     def value(self, sums: Any) -> Scalar:
         return jnp.sqrt(sums[0] / sums[1])
-
-
-class MeanLoss(AbstractObjective):
-    """The mean of `loss(state, truth)` over the rows with an estimate and known truth.
-
-    `loss`: a function of one row's state and of the true components by quantity, as `truth["position"]`, in JAX; each
-    number is one per trajectory. It is finite wherever state and truth differ.
-    """
-
-    loss: Loss = eqx.field(static=True)
-    size: ClassVar[int] = 2
-    needs_truth: ClassVar[bool] = True
-    of_position: ClassVar[bool] = True
-
-    def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
-        scored = is_estimate(output)
-        for _, known in truth.values():
-            scored &= known
-        # Where nothing is known both are zero, and a distance of equal points has no derivative.
-        true = {name: jnp.where(scored, jnp.stack(list(values)), 1.0) for name, (values, _) in truth.items()}
-        loss = jnp.where(scored, self.loss(output.mean, true), 0.0)
-        return loss, jnp.where(scored, jnp.ones_like(loss), 0.0)
-
-    def value(self, sums: Any) -> Scalar:
-        return sums[0] / sums[1]
 
 
 class StateLogLikelihood(AbstractObjective):

@@ -168,10 +168,6 @@ class FitState(NamedTuple):
     filter_runs: Int[np.ndarray, ""]
 
 
-MIN_SLOPE = 1e-3
-"""Norm of the gradient, relative to the objective, from which on a start is not the optimum."""
-
-
 @dataclass(frozen=True)
 class MultiStart:
     """Advances all starts of a fit one step at a time.
@@ -380,12 +376,6 @@ def min_gain(value: float, nats_per_unit: float) -> float:
     At least the resolution of single precision.
     """
     return max(MIN_GAIN_NATS / nats_per_unit, 1e-7 * abs(value)) if np.isfinite(nats_per_unit) else 1e-5 * abs(value)
-
-
-def stands_still(state: FitState) -> bool:
-    """Whether a fit has not moved from its starts although the objective has a slope at the first."""
-    moved = not np.array_equal(state.best_vectors, state.past_vectors[0])
-    return not moved and bool(state.past_norms[0, 0] > MIN_SLOPE * abs(state.past_values[0, 0]))
 
 
 GRID_STEP = np.log(10.0)

@@ -118,7 +118,7 @@ def survey(
     from trackwright.experiments.pages.reports.survey import survey_data, write_survey_page
     from trackwright.trackers.recordings.atomic import write_whole
     from trackwright.trackers.recordings.rig_file import rig_text
-    from trackwright.tuning.survey.surveying import survey as survey_walks
+    from trackwright.tuning.survey import survey as survey_walks
 
     with running("survey", json) as run:
         run.begin("fitting positions and paths")

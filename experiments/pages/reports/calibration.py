@@ -27,7 +27,7 @@ from trackwright.trackers.recordings.calibration import (
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import calibrate
-from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs, differs_by_distance
+from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs
 
 WIDTH, SHOWN = 150, 12
 """Characters of a table's line, and the most stations, or anchors, with charts."""
@@ -58,8 +58,6 @@ NOTES = {
     "(": "In brackets: not determined by these recordings, near its value before them.",
     "as measured": "As measured, calibrated: 68th percentile of the absolute error before and after.",
     "left out": "Left out: by a calibration on the other recordings.",
-    ", not linear": "Not linear: the errors that the line leaves differ between distances more than between pieces of "
-    "time (p < 0.001).",
 }
 """What the words of the tables mean."""
 
@@ -156,9 +154,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         factor, unit = (180 / np.pi, "°") if source.is_angle else (100.0, " cm")
         spreads = [factor * source.spread(errors) for errors in (measured, calibrated, left_out)]
         shown = [MISSING if np.isnan(spread) else fixed(spread, 1) + unit for spread in spreads]
-        true, limit = source.pairs.true[:, 0], source.spread(calibrated)
-        bent = source.table == "anchors" and differs_by_distance(true, calibrated, source.pairs.piece, limit)
-        head = [source.name + ", not linear" * bent, *[source.quantity] * source.is_angle]
+        head = [source.name, *[source.quantity] * source.is_angle]
         rows[source.table].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
     for name, tag in calibration.tags.items() if len(calibration.tags) > 1 else ():
         # There is no place on a body whose heading is not known.

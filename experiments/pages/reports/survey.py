@@ -13,7 +13,7 @@ from trackwright.experiments.pages.charts.style import BLUE, GREY
 from trackwright.experiments.pages.reports.pages import report_page, typed, write_page
 from trackwright.experiments.text.tables import Section
 from trackwright.trackers.core.wording import counted
-from trackwright.tuning.survey.surveying import DELAY_DETERMINED, Survey
+from trackwright.tuning.survey import DELAY_DETERMINED, Survey
 
 
 def survey_data(survey: Survey) -> dict[str, Any]:
