@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.model.tunable import Covariance, Scale, role_of
 from trackwright.tuning.parameters import Parameter, split
-from trackwright.tuning.problem import Evaluation, Problem, weighted_sum
+from trackwright.tuning.problem import Problem, weighted_sum
 from trackwright.tuning.uncertainty import Optimum, determined, optimum
 
 Vectors = Float[np.ndarray, "S p"]
@@ -135,9 +135,6 @@ SAME_START = 0.2
 PATIENCE = 15
 """Steps without the least gain after which a start of an optimiser that also takes steps up ends."""
 
-SHORT = 0.1
-"""Length of a step over which a likelihood is a parabola up to percents of its gain, in unconstrained coordinates."""
-
 MIN_GAIN_NATS = 0.01
 """Least gain in likelihood per step for a start to continue: far below any relevant change of a parameter."""
 
@@ -223,12 +220,11 @@ class MultiStart:
         after = tuple(x.copy() for x in (state.values, state.gradients, state.terms, state.used))
         pending, lengths = state.active.copy(), np.ones(len(state.vectors))
         least = self._min_gains(state.values, state.terms, state.used)
-        jumps = np.zeros(len(state.vectors))
         for attempt in range(MAX_ATTEMPTS):
             trial = np.clip(state.vectors + lengths[:, None] * np.asarray(steps), self.low, self.high)
             slopes = np.sum((trial - state.vectors) * state.gradients, axis=1)
             # A gain is at most about the slope's; near the optimum a failed step is due to rounding.
-            promised = -slopes >= np.maximum(least * (ANOTHER_ATTEMPT if attempt else 1.0), jumps)
+            promised = -slopes >= least * (ANOTHER_ATTEMPT if attempt else 1.0)
             worth = pending & promised if self.optimiser.monotone else pending
             if not worth.any():
                 break
@@ -250,9 +246,6 @@ class MultiStart:
             ):
                 old[moved] = new[accepted]
             pending[moved] = False
-            jumps[index] = np.maximum(
-                jumps[index], _jumps(trial - state.vectors[index], slopes[index], gains, evaluated)
-            )
             lengths[index] *= _shorter(slopes[index], gains)
         moved = state.active & ~pending
         values, gradients, terms, used = after
@@ -353,21 +346,6 @@ def _shorter(slopes: Float[np.ndarray, " S"], gains: Float[np.ndarray, " S"]) ->
     with np.errstate(divide="ignore", invalid="ignore"):
         lowest = np.where(np.isfinite(excess) & (excess > 0), -slopes / (2.0 * excess), LONGEST)
     return np.clip(lowest, SHORTEST, LONGEST)
-
-
-def _jumps(
-    steps: Float[np.ndarray, "S p"],
-    slopes: Float[np.ndarray, " S"],
-    gains: Float[np.ndarray, " S"],
-    evaluated: Evaluation,
-) -> Float[np.ndarray, " S"]:
-    """The parts of the gains of short steps that the slopes at both ends do not explain; zero for long steps.
-
-    A filter whose noise depends on the sign of a residual has a likelihood with jumps. A gain below them is not found.
-    """
-    explained = -0.5 * (slopes + np.sum(steps * evaluated.gradients, axis=1))
-    short = np.linalg.norm(steps, axis=1) <= SHORT
-    return np.where(short & evaluated.finite & np.isfinite(gains), np.abs(gains - explained), 0.0)
 
 
 def min_gain(value: float, nats_per_unit: float) -> float:
