@@ -47,7 +47,7 @@ for k, name in enumerate(survey.names):
     circle = np.linspace(0, 2 * np.pi, 60)
     around = directions @ (np.sqrt(5.99 * np.maximum(sizes, 0))[:, None] * np.stack([np.cos(circle), np.sin(circle)]))
     axes.plot(*(survey.positions[k, :2, None] + around), color="C0")
-    words = f"{name}, z = {survey.positions[k, 2]:.2f} m\n{survey.verdict(name).partition(' (')[0]}"
+    words = f"{name}, z = {survey.positions[k, 2]:.2f} m\n{survey.verdict(name)}"
     axes.annotate(words, survey.positions[k, :2], (6, 6), textcoords="offset points", fontsize=8)
 if len(sys.argv) == 1:
     axes.plot(*ANCHORS[:, :2].T, "k+", markersize=10, label="true")

@@ -7,7 +7,7 @@ from jaxtyping import TypeCheckError
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.keys import trajectory_keys
 from trackwright.trackers.core.model.polyline import Polyline
-from trackwright.tuning.optimisers import LBFGS
+from trackwright.tuning.optimisation import LBFGS
 
 
 def test_core():

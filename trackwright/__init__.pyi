@@ -131,11 +131,11 @@ from trackwright.tuning.objectives import NegativeLogLikelihood as NegativeLogLi
 from trackwright.tuning.objectives import RootMeanSquareError as RootMeanSquareError
 from trackwright.tuning.objectives import StateLogLikelihood as StateLogLikelihood
 from trackwright.tuning.objectives import Weighted as Weighted
-from trackwright.tuning.optimisers import LBFGS as LBFGS
-from trackwright.tuning.optimisers import Adam as Adam
+from trackwright.tuning.optimisation import LBFGS as LBFGS
+from trackwright.tuning.optimisation import Adam as Adam
 from trackwright.tuning.own_levels import fitted as fitted
-from trackwright.tuning.survey.surveying import Survey as Survey
-from trackwright.tuning.survey.surveying import survey as survey
+from trackwright.tuning.survey import Survey as Survey
+from trackwright.tuning.survey import survey as survey
 from trackwright.tuning.sweeping import sweep as sweep
 from trackwright.tuning.tuned_file import read_tuned as read_tuned
 from trackwright.tuning.tuned_file import write_tuned as write_tuned

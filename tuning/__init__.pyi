@@ -1,9 +1,9 @@
 from trackwright.tuning.diagnostics import innovations_of as innovations_of
-from trackwright.tuning.fitting import Place as Place
-from trackwright.tuning.named_objectives import parse_objective as parse_objective
+from trackwright.tuning.fitting import Progress as Progress
+from trackwright.tuning.objectives import parse_objective as parse_objective
 
 __all__ = [
-    "Place",
+    "Progress",
     "innovations_of",
     "parse_objective",
 ]

@@ -15,8 +15,7 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.atomic import atomic_write, config_hash
 from trackwright.trackers.recordings.input_file import read_arrays
-from trackwright.tuning.optimisation import FitState
-from trackwright.tuning.optimisers import AbstractOptimiser
+from trackwright.tuning.optimisation import AbstractOptimiser, FitState
 from trackwright.tuning.problem import Pieces
 
 CHECKPOINT = "checkpoint.npz"

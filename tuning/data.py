@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
@@ -21,14 +21,12 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_l
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks import batches
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
-from trackwright.tuning.named_objectives import parse_objective
 from trackwright.tuning.objectives import (
     AbstractObjective,
-    Loss,
-    MeanLoss,
     MissingQuantityError,
     StateLogLikelihood,
     name_of,
+    parse_objective,
 )
 from trackwright.tuning.problem import Problem, is_stochastic
 
@@ -93,7 +91,7 @@ class FitData:
 
     def batches(self, held_out: bool = False) -> list[Batch]:
         """The rows of the trajectories to fit to, or of those held out, in batches."""
-        return [batch for _, batch in self._groups(held_out)]
+        return [batch for _, batch in self._groups[held_out]]
 
     def weights(self, held_out: bool = False) -> list[Float[np.ndarray, " B"]]:
         """The weight of each trajectory of `batches`."""
@@ -102,23 +100,16 @@ class FitData:
 
     def recordings(self, held_out: bool = False) -> list[list[str]]:
         """The name of the recording of each trajectory of `batches`."""
-        return [[folder.name for folder in group.folders] for group, _ in self._groups(held_out)]
-
-    def _groups(self, held_out: bool) -> list[tuple[Trajectories, Batch]]:
-        return self._apart if held_out else self._fitted
+        return [[folder.name for folder in group.folders] for group, _ in self._groups[held_out]]
 
     @cached_property
-    def _fitted(self) -> list[tuple[Trajectories, Batch]]:
-        return batches(self.training)
-
-    @cached_property
-    def _apart(self) -> list[tuple[Trajectories, Batch]]:
-        return batches(self.held_out) if self.held_out else []
+    def _groups(self) -> list[list[tuple[Trajectories, Batch]]]:
+        return [batches(part) if part else [] for part in (self.training, self.held_out)]
 
 
 def fit_data(
     batch: TrackerBatch,
-    objective: str | AbstractObjective | Loss | None,
+    objective: str | AbstractObjective | None,
     held_out: Sequence[RecordingFolder] = (),
     segment_rows: int = SEGMENT_ROWS,
     dimensions: int | None = None,
@@ -132,11 +123,38 @@ def fit_data(
     """
     check_input(batch.tracker, batch.trajectories[0].recording, "fit")
     dimensions = dimensions or judged_dimensions(batch, objective)
-    segmented = replace(batch, trajectories=fit_segments(batch, segment_rows, dimensions))
-    return segments_data(segmented, objective, {folder.name for folder in held_out}, dimensions, weigh)
+    quantity, apart = _quantity(batch), {folder.name for folder in held_out}
+    floor = quantity == "direction" or batch.planar or dimensions == 2
+    whole: Sequence[Trajectory] = batch.trajectories
+    if floor and quantity == "position":
+        whole = [with_floor_truth(trajectory) for trajectory in whole]
+    trajectories = [segment for trajectory in whole for segment in segments(trajectory, segment_rows)]
+    known = [bool(trajectory.recording.truth[quantity][1].any()) for trajectory in trajectories]
+    if objective is None:
+        with_truth = {t.folder.name for t, has in zip(trajectories, known, strict=True) if has}
+        enough = bool(with_truth - apart) and (not apart or bool(with_truth & apart))
+        objective = _default_objective(batch, trajectories, quantity) if enough else "nll"
+    goal = named_objective(objective, quantity, 2 if floor else 3)
+    name = name_of(objective)
+    if goal.needs_truth and batch.planar and trajectories[0].station:
+        raise UnusableInput(
+            f"objective {name}: azimuth and elevation of a tag in a flat array's own plane are singular; "
+            "expected a tag above or below it; use the objective nll"
+        )
+    parts: tuple[list[Trajectory], list[Trajectory]] = ([], [])
+    for trajectory, has_truth in zip(trajectories, known, strict=True):
+        if not goal.needs_truth or has_truth:
+            parts[trajectory.folder.name in apart].append(trajectory)
+    for part, wanted, where in zip(parts, (True, bool(apart)), ("these recordings", "those held out"), strict=True):
+        if wanted and not part:
+            heights = "" if floor else " with z_m, or --dimensions 2"
+            raise UnusableInput(f"objective {name} needs truth{heights}, and {where} have none; use the objective nll")
+    used = {trajectory.folder.name for part in parts for trajectory in part}
+    unused = tuple(dict.fromkeys(t.folder.name for t in trajectories if t.folder.name not in used))
+    return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, weigh, unused)
 
 
-def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | Loss | None) -> int:
+def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | None) -> int:
     """3 where the height is estimated, every truth has heights and `state-nll` is judged, or chosen by default; else 2.
 
     An RMSE in space would be a badly determined height's, and near the plane of level anchors one is mirrored.
@@ -157,61 +175,9 @@ def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | 
     return 3 if any(known) and not over_floor else 2
 
 
-def fit_segments(batch: TrackerBatch, rows: int, dimensions: int) -> list[Trajectory]:
-    """The trajectories as a fit takes them: segments of about so many rows, with the truth that it judges."""
-    whole: Sequence[Trajectory] = batch.trajectories
-    if _quantity(batch) == "position" and _over_floor(batch, dimensions):
-        whole = [with_floor_truth(trajectory) for trajectory in whole]
-    return [segment for trajectory in whole for segment in segments(trajectory, rows)]
-
-
-def segments_data(
-    batch: TrackerBatch,
-    objective: str | AbstractObjective | Loss | None,
-    apart: set[str],
-    dimensions: int,
-    weigh: Weigh,
-) -> FitData:
-    """As `fit_data`, of `fit_segments`; `apart`: names of the recordings not fitted to."""
-    trajectories, quantity, floor = list(batch.trajectories), _quantity(batch), _over_floor(batch, dimensions)
-    known = [bool(trajectory.recording.truth[quantity][1].any()) for trajectory in trajectories]
-    if objective is None:
-        with_truth = {t.folder.name for t, has in zip(trajectories, known, strict=True) if has}
-        enough = bool(with_truth - apart) and (not apart or bool(with_truth & apart))
-        objective = _default_objective(batch, trajectories, quantity) if enough else "nll"
-    goal = named_objective(objective, quantity, 2 if floor else 3)
-    name = name_of(objective)
-    if goal.needs_truth and batch.planar and trajectories[0].station:
-        raise UnusableInput(
-            f"objective {name}: azimuth and elevation of a tag in a flat array's own plane are singular; "
-            "expected a tag above or below it; use the objective nll"
-        )
-    parts: tuple[list[Trajectory], list[Trajectory]] = ([], [])
-    for trajectory, has_truth in zip(trajectories, known, strict=True):
-        if not goal.needs_truth or has_truth:
-            parts[trajectory.folder.name in apart].append(trajectory)
-    for part, wanted, where in zip(parts, (True, bool(apart)), ("these recordings", "those held out"), strict=True):
-        if wanted and not part:
-            over_floor = () if floor else map(with_floor_truth, trajectories)
-            if any(t.recording.truth["position"][1].any() for t in over_floor):
-                raise UnusableInput(
-                    f"objective {name} in three dimensions needs truth with z_m, and {where} have x_m and y_m "
-                    "alone; judge two dimensions (--dimensions 2), or use the objective nll"
-                )
-            raise UnusableInput(f"objective {name} needs truth, and {where} have none; use the objective nll")
-    used = {trajectory.folder.name for part in parts for trajectory in part}
-    unused = tuple(dict.fromkeys(t.folder.name for t in trajectories if t.folder.name not in used))
-    return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, weigh, unused)
-
-
 def _quantity(batch: TrackerBatch) -> str:
     """The quantity of the truth."""
     return next(iter(batch.trajectories[0].recording.truth))
-
-
-def _over_floor(batch: TrackerBatch, dimensions: int) -> bool:
-    """Whether a position is judged over the floor alone."""
-    return _quantity(batch) == "direction" or batch.planar or dimensions == 2
 
 
 def _default_objective(batch: TrackerBatch, trajectories: Sequence[Trajectory], quantity: str) -> str:
@@ -235,13 +201,11 @@ def is_judged(tracker: AbstractTracker, batch: Batch, quantity: str) -> bool:
     return True
 
 
-def named_objective(objective: str | AbstractObjective | Loss, quantity: str, dimensions: int) -> AbstractObjective:
-    """The objective by name, as it is, or of a loss; raises UnusableInput for a name that is unknown or unfit."""
-    if isinstance(objective, AbstractObjective):
-        return objective
+def named_objective(objective: str | AbstractObjective, quantity: str, dimensions: int) -> AbstractObjective:
+    """The objective by name, or as it is; raises UnusableInput for a name that is unknown or unfit."""
     if not isinstance(objective, str):
-        require(callable(objective), "fit", objective, "an objective: a name, an AbstractObjective or a function")
-        return MeanLoss(objective)
+        require(isinstance(objective, AbstractObjective), "fit", objective, "an objective: a name or an object")
+        return objective
     try:
         return parse_objective(objective, quantity, dimensions)
     except ValueError as error:
@@ -284,7 +248,7 @@ class FitArrays(NamedTuple):
 def fit_arrays(
     tracker: AbstractTracker | NamedTracker,
     recordings: Any,
-    objective: str | AbstractObjective | Loss | None,
+    objective: str | AbstractObjective | None,
     held_out: Any,
     dimensions: int | None = None,
     weigh: Weigh = "recordings",
@@ -335,7 +299,7 @@ def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:
     return [stack([checked] if isinstance(checked, Recording) else checked)]
 
 
-def _check_truth(objective: str | AbstractObjective | Loss, batches: Sequence[Batch], where: str) -> None:
+def _check_truth(objective: str | AbstractObjective, batches: Sequence[Batch], where: str) -> None:
     """Raises UnusableInput for batches without any row whose truth is known."""
     if batches and not _has_truth(batches):
         raise UnusableInput(
@@ -349,7 +313,7 @@ def _has_truth(batches: Sequence[Batch]) -> bool:
 
 
 def _array_objective(
-    objective: str | AbstractObjective | Loss | None,
+    objective: str | AbstractObjective | None,
     tracker: AbstractTracker,
     rows: Sequence[Batch],
     apart: Sequence[Batch],

@@ -20,11 +20,20 @@ from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, Weigh, fit_arrays
 from trackwright.tuning.fit_warnings import Issue, finished_cautions, identifiability_issues
-from trackwright.tuning.objectives import AbstractObjective, Loss
-from trackwright.tuning.optimisation import FitState, MultiStart, initial_state, newton, stands_still
-from trackwright.tuning.optimisers import LBFGS, AbstractOptimiser, Adam
+from trackwright.tuning.objectives import AbstractObjective
+from trackwright.tuning.optimisation import (
+    LBFGS,
+    AbstractOptimiser,
+    Adam,
+    FitState,
+    MultiStart,
+    initial_state,
+    newton,
+)
 from trackwright.tuning.parameters import (
     Parameter,
+    Prior,
+    PriorKind,
     by_label,
     flatten,
     limits,
@@ -32,7 +41,6 @@ from trackwright.tuning.parameters import (
     tuned_by_default,
     with_parameters,
 )
-from trackwright.tuning.priors import Kind, Prior
 from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import (
     Interval,
@@ -46,9 +54,6 @@ from trackwright.tuning.uncertainty import (
 from trackwright.tuning.weight import discount, tempered_anew, weighed_anew
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
-
-OTHER_STARTS = 4
-"""Starts of a fit that did not move from its only one."""
 
 
 @dataclass(frozen=True)
@@ -167,13 +172,13 @@ class FitOptions:
     held_out: Arrays | RecordingFolder | Sequence[RecordingFolder] = ()
     dimensions: int | None = None
     weigh: Weigh = "recordings"
-    prior: Kind = "sites"
+    prior: PriorKind = "sites"
     chunk: int = CHUNK
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
-    """Where a fit goes on from, and what is told of it; the result has the same bits as of a fit that was not stopped.
+class Progress:
+    """What a fit tells as it goes, and the state that it goes on from; the result is the same, to the bit.
 
     `resume`: arrays of a state (`tuning.checkpoint.to_arrays`). `report` is called with the state after every step,
     `stage` with the name of each stage.
@@ -184,29 +189,27 @@ class Place:
     stage: Callable[[str], object] = lambda name: None
 
 
-DEFAULTS, HERE = FitOptions(), Place()
+DEFAULTS, UNTOLD = FitOptions(), Progress()
 
 
 def fit(
     tracker: AnyTracker,
     recordings: Arrays | FitData | RecordingFolder | Sequence[RecordingFolder],
-    objective: str | AbstractObjective | Loss | None = None,
+    objective: str | AbstractObjective | None = None,
     tune: str | Sequence[str] | None = None,
     options: FitOptions = DEFAULTS,
-    on: Place = HERE,
+    progress: Progress = UNTOLD,
 ) -> FitResult[AnyTracker]:
     """The tracker with the tunables matching `tune` fitted to minimise the objective.
 
     `tracker`, `recordings`: a tracker by name with recording folders, or a tracker with recordings in arrays: one,
-    several, or batches. `objective`: an object, its name as on the command line (`nll`, `rmse`, `state-nll`, ...), or a
-    function of a row's state and truth, whose mean is minimised (`tuning.objectives.MeanLoss`); default `state-nll`
-    where there is truth, else `nll`. `tune`: shell patterns; by default `parameters.tuned_by_default`. `options`: how
-    it is done; `on`: from where it goes on, and what is told.
+    several, or batches. `objective`: an object, or its name as on the command line (`nll`, `rmse`, `state-nll`, ...);
+    default `state-nll` where there is truth, else `nll`. `tune`: shell patterns; by default
+    `parameters.tuned_by_default`. `options`: how it is done; `progress`: what it tells, and from where it goes on.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
-    steps. A fit that does not move from its only start has others. The result is the best
-    point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there. `FitResult.cautions` speak against
-    it.
+    steps. The result is the best point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there.
+    `FitResult.cautions` speak against it.
     Raises ValueError for patterns that match nothing or can't be tied and for empty bounds; FloatingPointError where
     the objective is not finite at the first start.
     """
@@ -231,23 +234,19 @@ def fit(
     smooth = objective.has_density and not problem.stochastic
     optimiser = options.optimiser or (LBFGS() if smooth else Adam(options.steps))
     driver = MultiStart(problem, optimiser, options.steps, low, high, scoring)
-    starts = options.starts
-    if on.resume is not None:
-        state = from_arrays(optimiser, on.resume)
+    if progress.resume is not None:
+        state = from_arrays(optimiser, progress.resume)
     else:
-        state = initial_state(driver, flatten(parameters), starts)
+        state = initial_state(driver, flatten(parameters), options.starts)
     interrupted = False
     try:
-        on.report(state)
-        while not driver.done(state) or (starts == 1 and stands_still(state)):
-            if driver.done(state):
-                starts, state = OTHER_STARTS, initial_state(driver, state.past_vectors[0, 0], OTHER_STARTS)
-            else:
-                state = driver.step(state)
-            on.report(state)
+        progress.report(state)
+        while not driver.done(state):
+            state = driver.step(state)
+            progress.report(state)
     except KeyboardInterrupt:
         interrupted = True
-    on.stage("the best values so far" if interrupted else "intervals")
+    progress.stage("the best values so far" if interrupted else "intervals")
     if not interrupted and scoring is None and problem.prior.precision.any():
         state = weighed_anew(driver, tempered_anew(driver, state), names)
     result = _result(model, driver, state, interrupted)

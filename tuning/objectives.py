@@ -1,4 +1,4 @@
-"""Objectives of a fit, each a function of sums over rows and trajectories of any number of recordings.
+"""Objectives of a fit, each a function of sums over rows and trajectories of any number of recordings; their names.
 
 e  estimate − truth of a quantity, (d,)        S  its reported covariance        NEES  eᵀS⁻¹e
 """
@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -25,13 +27,9 @@ Truth = dict[str, tuple[Any, Any]]
 """The truth of a row by quantity: its components, each (B,), and whether it is known (B,)."""
 
 
-Loss = Callable[[Any, dict[str, Any]], Scalar]
-"""A number of a row's state and of the true components by quantity."""
-
-
 def name_of(objective: object) -> str:
-    """The name of an objective or loss, or of its class, for messages."""
-    return objective if isinstance(objective, str) else getattr(objective, "__name__", type(objective).__name__)
+    """The name of an objective, or of its class, for messages."""
+    return objective if isinstance(objective, str) else type(objective).__name__
 
 
 class MissingQuantityError(ValueError):
@@ -128,31 +126,6 @@ class RootMeanSquareError(AbstractObjective):
 
     def value(self, sums: Any) -> Scalar:
         return jnp.sqrt(sums[0] / sums[1])
-
-
-class MeanLoss(AbstractObjective):
-    """The mean of `loss(state, truth)` over the rows with an estimate and known truth.
-
-    `loss`: a function of one row's state and of the true components by quantity, as `truth["position"]`, in JAX; each
-    number is one per trajectory. It is finite wherever state and truth differ.
-    """
-
-    loss: Loss = eqx.field(static=True)
-    size: ClassVar[int] = 2
-    needs_truth: ClassVar[bool] = True
-    of_position: ClassVar[bool] = True
-
-    def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
-        scored = is_estimate(output)
-        for _, known in truth.values():
-            scored &= known
-        # Where nothing is known both are zero, and a distance of equal points has no derivative.
-        true = {name: jnp.where(scored, jnp.stack(list(values)), 1.0) for name, (values, _) in truth.items()}
-        loss = jnp.where(scored, self.loss(output.mean, true), 0.0)
-        return loss, jnp.where(scored, jnp.ones_like(loss), 0.0)
-
-    def value(self, sums: Any) -> Scalar:
-        return sums[0] / sums[1]
 
 
 class StateLogLikelihood(AbstractObjective):
@@ -303,3 +276,51 @@ def _covariance_of(output: Output, quantity: str, dimensions: int) -> dict[tuple
     # States are written for one trajectory: vmap tells their vector leaves from vectors of trajectories.
     each = jax.vmap(of_trajectory, in_axes=-1, out_axes=-1) if jnp.ndim(output.status) else of_trajectory
     return each(output.mean, output.cov)
+
+
+HEIGHT_WEIGHT = 0.5
+"""Weight of an estimated height beside each coordinate of the plane in `state-nll`.
+
+Noise levels that act on the height alone are fitted to it all the same; those that it shares with the plane follow the
+plane's two coordinates, four times as heavy.
+"""
+
+OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxyType(
+    {
+        "nll": lambda quantity, dimensions: NegativeLogLikelihood(),
+        "rmse": RootMeanSquareError,
+        "state-nll": lambda quantity, dimensions: StateLogLikelihood(
+            quantity, dimensions, HEIGHT_WEIGHT if dimensions == 3 else 1.0
+        ),
+    }
+)
+"""Constructors by name, each of a quantity and its number of components."""
+
+SUMMAND = re.compile(r"\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?([a-z][a-z-]*)\s*")
+
+
+def parse_objective(text: str, quantity: str = "position", dimensions: int = 2) -> AbstractObjective:
+    """The objective of a text such as `nll`, or `0.1*rmse + nll`.
+
+    Raises ValueError for an unknown or duplicate name, and for a weight that isn't positive.
+    """
+    parts: dict[str, AbstractObjective] = {}
+    weights, at = [], 0
+    while True:
+        match = SUMMAND.match(text, at)
+        if match is None or match[2] not in OBJECTIVES or match[2] in parts:
+            names = ", ".join(OBJECTIVES)
+            raise ValueError(f"'{text}' is no objective; expected some of {names}, each once, as 'nll+0.1*rmse'")
+        try:
+            weights.append(float(match[1] or 1.0))
+        except ValueError as error:
+            raise ValueError(f"'{text}': the weight '{match[1]}' is not a number") from error
+        parts[match[2]] = OBJECTIVES[match[2]](quantity, dimensions)
+        at = match.end()
+        if at == len(text):
+            break
+        if text[at] != "+":
+            raise ValueError(f"'{text}': found '{text[at:]}' where '+' and another objective were expected")
+        at += 1
+    only = list(parts.values())
+    return only[0] if len(only) == 1 and weights == [1.0] else Weighted(tuple(only), tuple(weights))

@@ -1,19 +1,124 @@
-"""Starts of a fit, optimised side by side: each step accepted or shortened, then Newton steps; a state for a file."""
+"""Starts of a fit, optimised side by side: each step accepted or shortened, then Newton steps; a state for a file.
+
+An optimiser proposes the next steps of S starts, the first axis of all arrays; `MultiStart` accepts, shortens or
+rejects them.
+"""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+import optax
 from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.model.tunable import Covariance, Scale, role_of
-from trackwright.tuning.optimisers import AbstractOptimiser
 from trackwright.tuning.parameters import Parameter, split
-from trackwright.tuning.problem import Evaluation, Problem, weighted_sum
+from trackwright.tuning.problem import Problem, weighted_sum
 from trackwright.tuning.uncertainty import Optimum, determined, optimum
+
+Vectors = Float[np.ndarray, "S p"]
+
+MAX_STEP = 2.0
+"""Longest step in unconstrained coordinates: a noise level changes by a factor of seven at most."""
+
+
+class AbstractOptimiser(eqx.Module):
+    """Proposes steps; `monotone`: whether a step that increases the objective is rejected."""
+
+    monotone: eqx.AbstractClassVar[bool]
+
+    @abstractmethod
+    def init(self, vectors: Vectors) -> Any:
+        """The optimiser's state for starts at vectors (S, p): a tree of arrays (S, …)."""
+
+    @abstractmethod
+    def propose(self, state: Any, vectors: Vectors, gradients: Vectors) -> tuple[Vectors, Any]:
+        """The steps (S, p) from vectors (S, p) with gradients (S, p), and the optimiser's next state."""
+
+
+class Adam(AbstractOptimiser):
+    """Adam (Kingma and Ba 2015); its rate falls from `rate` to a hundredth of it over `steps` along a cosine.
+
+    For noisy objectives, as of particle filters.
+    """
+
+    steps: int = 60
+    rate: float = 0.15
+    monotone: ClassVar[bool] = False
+
+    @property
+    def transformation(self) -> optax.GradientTransformation:
+        # A filter about to lose a track has enormous derivatives; one such step must not dominate all others.
+        rate = optax.cosine_decay_schedule(self.rate, self.steps, 0.01)
+        return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
+
+    def init(self, vectors: Vectors) -> Any:
+        return _initial(self, jnp.asarray(vectors))
+
+    def propose(self, state: Any, vectors: Vectors, gradients: Vectors) -> tuple[Vectors, Any]:
+        return _updated(self, gradients, state, vectors)
+
+
+class LBFGS(AbstractOptimiser):
+    """Limited-memory BFGS (Liu and Nocedal 1989) of optax with backtracking by halves."""
+
+    monotone: ClassVar[bool] = True
+
+    @property
+    def transformation(self) -> optax.GradientTransformation:
+        return optax.scale_by_lbfgs()
+
+    def init(self, vectors: Vectors) -> Any:
+        return _initial(self, jnp.asarray(vectors))
+
+    def propose(self, state: Any, vectors: Vectors, gradients: Vectors) -> tuple[Vectors, Any]:
+        first = np.asarray(state.count) == 0
+        steps, state = _updated(self, gradients, state, vectors)
+        # Later steps take their scale from the first, which backtracking can only shorten. Length 1, a factor of e in
+        # a noise level, is long enough.
+        length = np.linalg.norm(gradients, axis=1, keepdims=True)
+        steepest = -gradients / np.where(length > 0, length, 1.0)
+        uphill = np.sum(steps * gradients, axis=1) <= 0
+        return _limited(np.where((first | uphill)[:, None], steepest, -steps)), state
+
+
+def _limited(steps: Vectors) -> Vectors:
+    """The steps (S, p), shortened to `MAX_STEP`."""
+    return steps / np.maximum(1.0, np.linalg.norm(steps, axis=1, keepdims=True) / MAX_STEP)
+
+
+def _updated(optimiser: Adam | LBFGS, gradients: Vectors, state: Any, vectors: Vectors) -> tuple[Vectors, Any]:
+    """The updates (S, p) of an optimiser's transformation and its next state, one start after another.
+
+    Not under `vmap`: XLA (jaxlib 0.10, multi-output fusion) aborts on the scatters of L-BFGS there.
+    """
+    updates = []
+    for k, (gradient, vector) in enumerate(zip(gradients, vectors, strict=True)):
+        of_start = jax.tree_util.tree_map(lambda leaf: jnp.asarray(np.asarray(leaf)[k]), state)  # noqa: B023
+        # Adam raises a float to the power of an integer count, which strict promotion would refuse.
+        with jax.numpy_dtype_promotion("standard"):
+            updates.append(_update(optimiser, jnp.asarray(gradient), of_start, jnp.asarray(vector)))
+    steps, states = zip(*updates, strict=True)
+    return np.stack(steps).astype(float), jax.tree_util.tree_map(lambda *x: np.stack(x), *states)
+
+
+@eqx.filter_jit
+def _initial(optimiser: Adam | LBFGS, vectors: jax.Array) -> Any:
+    return jax.vmap(optimiser.transformation.init)(vectors)
+
+
+@eqx.filter_jit
+def _update(optimiser: Adam | LBFGS, gradient: jax.Array, state: Any, vector: jax.Array) -> tuple[jax.Array, Any]:
+    # Built while this is traced: a transformation as the argument would be compiled anew for every new object.
+    return optimiser.transformation.update(gradient, state, vector)  # type: ignore[return-value]
+
 
 MAX_ATTEMPTS = 7
 """Attempts at a step, each shorter than the one before; a start that none of them helps has converged."""
@@ -29,9 +134,6 @@ SAME_START = 0.2
 
 PATIENCE = 15
 """Steps without the least gain after which a start of an optimiser that also takes steps up ends."""
-
-SHORT = 0.1
-"""Length of a step over which a likelihood is a parabola up to percents of its gain, in unconstrained coordinates."""
 
 MIN_GAIN_NATS = 0.01
 """Least gain in likelihood per step for a start to continue: far below any relevant change of a parameter."""
@@ -61,10 +163,6 @@ class FitState(NamedTuple):
     past_norms: Float[np.ndarray, "steps S"]
     past_vectors: Float[np.ndarray, "steps S p"]
     filter_runs: Int[np.ndarray, ""]
-
-
-MIN_SLOPE = 1e-3
-"""Norm of the gradient, relative to the objective, from which on a start is not the optimum."""
 
 
 @dataclass(frozen=True)
@@ -122,12 +220,11 @@ class MultiStart:
         after = tuple(x.copy() for x in (state.values, state.gradients, state.terms, state.used))
         pending, lengths = state.active.copy(), np.ones(len(state.vectors))
         least = self._min_gains(state.values, state.terms, state.used)
-        jumps = np.zeros(len(state.vectors))
         for attempt in range(MAX_ATTEMPTS):
             trial = np.clip(state.vectors + lengths[:, None] * np.asarray(steps), self.low, self.high)
             slopes = np.sum((trial - state.vectors) * state.gradients, axis=1)
             # A gain is at most about the slope's; near the optimum a failed step is due to rounding.
-            promised = -slopes >= np.maximum(least * (ANOTHER_ATTEMPT if attempt else 1.0), jumps)
+            promised = -slopes >= least * (ANOTHER_ATTEMPT if attempt else 1.0)
             worth = pending & promised if self.optimiser.monotone else pending
             if not worth.any():
                 break
@@ -149,9 +246,6 @@ class MultiStart:
             ):
                 old[moved] = new[accepted]
             pending[moved] = False
-            jumps[index] = np.maximum(
-                jumps[index], _jumps(trial - state.vectors[index], slopes[index], gains, evaluated)
-            )
             lengths[index] *= _shorter(slopes[index], gains)
         moved = state.active & ~pending
         values, gradients, terms, used = after
@@ -254,33 +348,12 @@ def _shorter(slopes: Float[np.ndarray, " S"], gains: Float[np.ndarray, " S"]) ->
     return np.clip(lowest, SHORTEST, LONGEST)
 
 
-def _jumps(
-    steps: Float[np.ndarray, "S p"],
-    slopes: Float[np.ndarray, " S"],
-    gains: Float[np.ndarray, " S"],
-    evaluated: Evaluation,
-) -> Float[np.ndarray, " S"]:
-    """The parts of the gains of short steps that the slopes at both ends do not explain; zero for long steps.
-
-    A filter whose noise depends on the sign of a residual has a likelihood with jumps. A gain below them is not found.
-    """
-    explained = -0.5 * (slopes + np.sum(steps * evaluated.gradients, axis=1))
-    short = np.linalg.norm(steps, axis=1) <= SHORT
-    return np.where(short & evaluated.finite & np.isfinite(gains), np.abs(gains - explained), 0.0)
-
-
 def min_gain(value: float, nats_per_unit: float) -> float:
     """The least gain worth a step: 0.01 nats of a likelihood, else 1e-5 of the value.
 
     At least the resolution of single precision.
     """
     return max(MIN_GAIN_NATS / nats_per_unit, 1e-7 * abs(value)) if np.isfinite(nats_per_unit) else 1e-5 * abs(value)
-
-
-def stands_still(state: FitState) -> bool:
-    """Whether a fit has not moved from its starts although the objective has a slope at the first."""
-    moved = not np.array_equal(state.best_vectors, state.past_vectors[0])
-    return not moved and bool(state.past_norms[0, 0] > MIN_SLOPE * abs(state.past_values[0, 0]))
 
 
 GRID_STEP = np.log(10.0)

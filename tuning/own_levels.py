@@ -43,7 +43,7 @@ class OwnLevels:
 def fitted(tracker: NamedTracker, recording: RecordingFolder) -> OwnLevels:
     """The tracker at the noise levels and shapes of errors that are most probable by a recording's own readings.
 
-    Their prior is in `tuning.priors`; truth is not used, and values that the tracker was given stay. All stay
+    Their prior is in `tuning.parameters`; truth is not used, and values that the tracker was given stay. All stay
     where the readings tell nothing against them, where the likelihood cannot be maximised, and where errors last: where
     their fitted level is above the level of others, or innovations are correlated at the fitted levels. Errors
     that last look like motion, from which no likelihood of readings tells them.

@@ -32,8 +32,7 @@ from trackwright.trackers.core.run.latency import scored_truth
 from trackwright.trackers.core.run.scan import Output, Score
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.parameters import Parameter, Vector, flatten, with_parameters
-from trackwright.tuning.priors import Penalty, Prior
+from trackwright.tuning.parameters import Parameter, Penalty, Prior, Vector, flatten, with_parameters
 
 Vectors = Float[np.ndarray, "*S p"]
 Terms = Float[np.ndarray, "many k n"]

@@ -117,7 +117,7 @@ def survey(
     from trackwright.experiments.pages.calibration import write_survey_page
     from trackwright.trackers.recordings.atomic import write_whole
     from trackwright.trackers.recordings.rig_file import rig_text
-    from trackwright.tuning.survey.surveying import survey as survey_walks
+    from trackwright.tuning.survey import survey as survey_walks
 
     with running("survey") as begin:
         begin("fitting positions and paths")

@@ -25,7 +25,7 @@ from trackwright.trackers.recordings.input_file import identity
 from trackwright.tuning import parameters as numbers
 from trackwright.tuning.data import FitData, fit_data
 from trackwright.tuning.fit_warnings import cautions, without_intervals
-from trackwright.tuning.fitting import Place
+from trackwright.tuning.fitting import Progress
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.problem import is_stochastic
 from trackwright.tuning.sweeping import grid_vectors, swept_parameters
@@ -118,7 +118,7 @@ def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
         frozen=options.freeze, bounds=bounds, steps=options.steps, starts=options.starts, prior=options.prior
     )
     begin("searching for starts" if options.starts > 1 else "first evaluation")
-    depends, place = {"options": options.settings(resume=False, figures="page")}, Place(report=report, stage=begin)
+    depends, place = {"options": options.settings(resume=False, figures="page")}, Progress(report=report, stage=begin)
     out, say = output_folder(options.out), lambda line: notices([line])
     return kept_fit(data, tune, how, place, out, depends, options.resume, say)
 

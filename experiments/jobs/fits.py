@@ -16,7 +16,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning import checkpoint
 from trackwright.tuning.data import FitData
-from trackwright.tuning.fitting import FitOptions, FitResult, Place, fit, left_out_blocks, left_out_values
+from trackwright.tuning.fitting import FitOptions, FitResult, Progress, fit, left_out_blocks, left_out_values
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.parameters import flatten, parse_bounds, require_start_within, select_parameters
 
@@ -40,7 +40,7 @@ def kept_fit(
     data: FitData,
     tune: Sequence[str],
     options: FitOptions,
-    place: Place,
+    progress: Progress,
     folder: Path,
     config: Mapping[str, Any],
     resume: bool = False,
@@ -60,10 +60,10 @@ def kept_fit(
 
     def keep(state: FitState) -> None:
         checkpoint.save(folder, checkpoint.to_arrays(state), fingerprint)
-        place.report(state)
+        progress.report(state)
 
     try:
-        result = fit(data.tracker, data, data.objective, tune, options, replace(place, resume=saved, report=keep))
+        result = fit(data.tracker, data, data.objective, tune, options, replace(progress, resume=saved, report=keep))
     except FloatingPointError as error:
         raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
     if result.n_excluded == len(data.training):

@@ -27,7 +27,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import calibrate
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs
-from trackwright.tuning.survey.surveying import Survey
+from trackwright.tuning.survey import Survey
 
 WIDTH, SHOWN, POINTS = 150, 24, 500
 """Characters of a table's line, the most charts, and about the most rows drawn in each."""

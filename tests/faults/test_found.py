@@ -15,7 +15,7 @@ from trackwright.experiments.text.tables import width_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.checks.readings import known_median
 from trackwright.tuning.checkpoint import from_arrays
-from trackwright.tuning.optimisers import Adam
+from trackwright.tuning.optimisation import Adam
 
 
 @pytest.mark.parametrize("table", ["bearings", "fixes", "ranges"])

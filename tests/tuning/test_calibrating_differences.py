@@ -1,9 +1,6 @@
 """The biases of anchors in range differences: against known ones, a dense likelihood, and in the tracker."""
 
-from dataclasses import replace
-
 import numpy as np
-import polars as pl
 import pytest
 from scipy.optimize import minimize
 from scipy.stats import t as student_t
@@ -11,7 +8,6 @@ from scipy.stats import t as student_t
 import trackwright as tw
 from tests.tuning.calibration_worlds import ANCHORS, differences
 from trackwright.experiments.pages.calibration import report_on
-from trackwright.trackers.recordings.calibration import NO_DIFFERENCES
 from trackwright.tuning.calibrating import calibrate
 
 
@@ -86,17 +82,6 @@ def test_the_report_counts_the_differences_of_an_anchor_with_both_signs():
     biases = dict(zip(calibration.differences.anchors, calibration.differences.biases, strict=True))
     others = np.array([biases[other] for other in by_name["B"].pairs.other])
     np.testing.assert_allclose(measured - left, biases["B"] - others, atol=1e-12)
-
-
-def test_an_anchor_whose_differences_are_to_anchors_with_too_few_has_no_bias():
-    _, (folder,) = _site(7, walks=1)
-    table = folder.tables["tdoa"]
-    few = pl.concat([table.filter(anchor="A", anchor_2="B").head(15), table.filter(anchor="D", anchor_2="A").head(15)])
-    ranges = few.select("t_s", "tag", anchor=pl.lit("C"), range_m=pl.lit(3.0))
-    folder = replace(folder, tables={**folder.tables, "tdoa": few.sort("t_s"), "ranges": ranges.sort("t_s")})
-    calibration = calibrate(folder)
-    assert calibration.differences is NO_DIFFERENCES
-    assert "differences" not in report_on(calibration, [folder]).tables
 
 
 def test_one_anchor_that_moved_leaves_the_others_calibrated():

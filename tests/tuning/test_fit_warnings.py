@@ -1,7 +1,5 @@
 """Cautions on a fit: each on data made so that it applies, and none on data of the model itself."""
 
-from typing import ClassVar
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,6 @@ from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.model.covariance import FEW
 from trackwright.tuning.fitting import left_out_values
 from trackwright.tuning.objectives import NegativeLogLikelihood, StateLogLikelihood
-from trackwright.tuning.optimisers import AbstractOptimiser
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.weight import WINDOWS_S, rows_and_inflation, window_sums
@@ -64,25 +61,6 @@ def test_correlated_errors_are_named_with_the_number_of_rows_that_they_count_for
     assert text.startswith("innovations are correlated over time: 5999 rows carry the information of about ")
     factor = 5999 / float(text.split(" about ")[1])
     assert 4.0 < factor < max(WINDOWS_S) / 0.1
-
-
-class Stuck(AbstractOptimiser):
-    """An optimiser that never moves."""
-
-    monotone: ClassVar[bool] = True
-
-    def init(self, vectors):
-        return vectors
-
-    def propose(self, state, vectors, gradients):
-        return 0.0 * vectors, state
-
-
-def test_a_fit_that_does_not_move_from_its_start_has_others():
-    result = tw.fit(line_tracker(30.0, 0.01), walks([300, 300], 6), "nll", LEVELS, tw.FitOptions(optimiser=Stuck()))
-    assert len(result.starts) > 1
-    assert result.value < result.start_value - 1.0
-    assert result.cautions == []
 
 
 def _world():

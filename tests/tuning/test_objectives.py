@@ -1,14 +1,11 @@
 """The objectives: figures made of sums, whatever batches the recordings stand in."""
 
-import dataclasses
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import polars as pl
 import pytest
 
-import trackwright as tw
 from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, figure, line_tracker, walks
 from trackwright.sim.agv import simulate_agv
@@ -20,8 +17,13 @@ from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.evaluation.evaluate import rows_of
 from trackwright.trackers.evaluation.rows import covariances
 from trackwright.tuning.data import fit_data
-from trackwright.tuning.named_objectives import HEIGHT_WEIGHT, parse_objective
-from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
+from trackwright.tuning.objectives import (
+    HEIGHT_WEIGHT,
+    NegativeLogLikelihood,
+    RootMeanSquareError,
+    Weighted,
+    parse_objective,
+)
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 
@@ -104,52 +106,6 @@ def test_a_recording_without_a_single_reading_says_nothing_and_spoils_no_gradien
     with_silence, without = (_figures(rs, objective) for rs in ([r, silent], [r]))
     assert with_silence[0] == pytest.approx(without[0], rel=1e-12)
     np.testing.assert_allclose(with_silence[1], without[1], rtol=1e-12)
-
-
-def test_a_function_of_state_and_truth_is_an_objective():
-    rng = np.random.default_rng(2)
-    times = np.arange(40) * 0.2
-    path = np.stack([np.cos(times), np.sin(times)], axis=1)
-    truth = np.where(np.arange(40)[:, None] % 5 == 0, np.nan, path)
-    rows = [
-        tw.fix_recording(times[:n], path[:n] + 0.1 * rng.normal(size=(n, 2)), height=1.0, truth=truth[:n], name=str(n))
-        for n in (40, 25)
-    ]
-    tracker = tw.fix_tracker(planar=True)
-
-    def miss(state, truth):
-        return jnp.hypot(*(state.position[k] - truth["position"][k] for k in range(2)))
-
-    result = tw.fit(tracker, rows, miss, "motion.sigma_a", tw.FitOptions(steps=6))
-    assert result.value < result.start_value
-    for model, value in ((tracker, result.start_value), (result.tracker, result.value)):
-        estimates = np.stack(list(model.run(stack(rows)).mean.position), axis=-1)
-        errors = [
-            np.linalg.norm(e[: len(r)] - path[: len(r)], axis=1)[r.truth["position"][1]]
-            for e, r in zip(estimates, rows, strict=True)
-        ]
-        # Each of the two recordings has the same weight.
-        assert value == pytest.approx(np.mean([np.mean(e) for e in errors]), rel=1e-6)
-    with pytest.raises(tw.UnusableInput, match="fit: found 3; expected an objective: a name, "):
-        tw.fit(tracker, rows, 3)
-    with pytest.raises(tw.UnusableInput, match="no known truth; .* the objective miss needs"):
-        tw.fit(tracker, tw.fix_recording(times, path, height=1.0), miss)
-
-
-def test_a_function_is_an_objective_of_folders_and_named_where_it_does_not_fit():
-    folder = tw.simulate.agv(n=1, rows=30).folder()
-    tracker = tw.build("fix-kf", folder)
-
-    def height_alone(state, truth):
-        return (state.position[2] - truth["position"][2]) ** 2
-
-    found = tw.fit(tracker, folder, height_alone, "motion.sigma_z", tw.FitOptions(steps=2, dimensions=3))
-    tracks = tw.build("fix-kf", folder).run(folder).table.join(folder.tables["truth"], on=["tag", "t_s"])
-    error = (tracks["z_m"] - tracks["z_m_right"]).to_numpy()
-    assert found.start_value == pytest.approx(np.mean(error**2), rel=1e-6)
-    blind = dataclasses.replace(folder, tables={"fixes": folder.tables["fixes"]})
-    with pytest.raises(tw.UnusableInput, match="objective height_alone needs truth, and these recordings have none"):
-        tw.fit(tracker, blind, height_alone, "motion.sigma_z")
 
 
 LATENCY = {"sensors.fixes.latency": 0.3}

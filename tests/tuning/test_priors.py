@@ -4,8 +4,7 @@ import numpy as np
 from scipy import stats
 
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
-from trackwright.tuning.parameters import Parameter
-from trackwright.tuning.priors import Prior
+from trackwright.tuning.parameters import Parameter, Prior
 
 PARAMETERS = [
     Parameter(("sensors.a.sigma_p", "sensors.b.sigma_p"), Scale(0.5, "rad"), "sensors.*.sigma_p"),

@@ -18,10 +18,8 @@ from trackwright.trackers.core.model.tunable import Real, Scale
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
-from trackwright.tuning.optimisation import MultiStart
-from trackwright.tuning.optimisers import AbstractOptimiser
-from trackwright.tuning.parameters import flatten, select_parameters
-from trackwright.tuning.priors import Prior
+from trackwright.tuning.optimisation import AbstractOptimiser, MultiStart
+from trackwright.tuning.parameters import Prior, flatten, select_parameters
 from trackwright.tuning.problem import Problem
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")

@@ -1,6 +1,5 @@
 """How sure a fit is: against closed forms and repeated experiments on normal numbers, of which everything is known."""
 
-import dataclasses
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
@@ -13,8 +12,7 @@ from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale
 from trackwright.tuning.fit_warnings import identifiability_issues
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
-from trackwright.tuning.parameters import Parameter, flatten, select_parameters
-from trackwright.tuning.priors import Prior
+from trackwright.tuning.parameters import Parameter, Prior, flatten, select_parameters
 from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import (
     Optimum,
@@ -22,7 +20,6 @@ from trackwright.tuning.uncertainty import (
     flat_components,
     kept_at_start,
     optimum,
-    refit,
     uncertainty_at,
 )
 
@@ -284,26 +281,6 @@ def test_a_flat_number_keeps_its_starting_value_and_the_others_are_fitted_with_i
     assert again.standard_errors()["a"] > 0.0
 
 
-@pytest.mark.parametrize("weights", [[1, 1], [1, 0.5]])
-def test_numbers_that_are_determined_together_are_not_moved_back(numbers, weights):
-    problem, at = _product(numbers, weights)
-    found = _uncertainty(problem, at)
-    assert flat_components(found) == []
-    assert not kept_at_start(problem, found, np.zeros(2), 1.0).at_start.any()
-
-
-def test_a_flat_number_whose_start_is_much_worse_stays_where_the_fit_ended(numbers):
-    """With σ at a bound nothing makes up for b: the likelihood at its start is hundreds of nats lower."""
-    problem, at = _product(numbers, [1, 0.002])
-    found = uncertainty_at(problem, optimum(problem, at), np.array([True, False]))
-    far = np.array([0.0, at[1] + 1e3])
-    loose = dataclasses.replace(found, undetermined=np.array([False, True]), observed=np.diag([0.0, 1e4]))
-    assert flat_components(loose) == [1]
-    assert not kept_at_start(problem, loose, far, 1.0).at_start.any()
-    near = kept_at_start(problem, loose, np.array([0.0, at[1] + 1.0]), 1.0)
-    assert near.at_start.tolist() == [False, True]
-
-
 def test_a_parameter_at_its_bound_is_named_and_the_others_are_conditional_on_it(numbers):
     problem, best = _sigma_and_mu(numbers)
     # with the level fixed too high, the uncertainty of the mean is that for this level
@@ -368,15 +345,3 @@ def test_the_influence_of_a_trajectory_is_the_derivative_by_its_weight(line):
         slopes = [problem.evaluate(vector, w).gradients[0] for w in (up, down)]
         # rounding / step
         np.testing.assert_allclose(found.influence[n], (slopes[0] - slopes[1]) / (2 * eps), rtol=1e-6, atol=1e-10)
-
-
-def test_of_a_tracker_both_kinds_of_uncertainty_agree():
-    tracker = line_tracker()
-    parameters = select_parameters(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
-    problem = Problem(tracker, [stack(walks([120] * 32, 3))], NegativeLogLikelihood(), parameters)
-    start = flatten(parameters)[None]
-    best = refit(problem, start, optimum(problem, start[0]).hessian, rounds=6).vectors[0]
-    found = _uncertainty(problem, best)
-    # 32 trajectories know a standard deviation to 13 %
-    ratio = np.diagonal(found.sandwich) / np.diagonal(found.observed)
-    np.testing.assert_allclose(np.sqrt(ratio), 1.0, atol=0.5)

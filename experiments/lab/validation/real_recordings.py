@@ -18,7 +18,7 @@ from trackwright.experiments.pages.tuning import judge, tracked
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.statements import verdict
 from trackwright.tuning.calibrating import by_halves
-from trackwright.tuning.priors import Kind
+from trackwright.tuning.parameters import PriorKind
 
 SMOOTHED, OTHER_SITES, LATENCY = " smoothed", "other sites", "*latency*"
 NEVER_SMOOTHED = ("line-grid", "das", "trilateration-compensated")
@@ -103,12 +103,12 @@ def generalisation_cases() -> Iterator[Case]:
         for count in (n for n in COUNTS if n < len(names)):
             for k, name in enumerate(names):
                 fitted_to = (*names[k + 1 :], *names[:k])[:count]
-                for prior in get_args(Kind):
+                for prior in get_args(PriorKind):
                     measure = partial(generalisation, tracker, name, fitted_to, prior)
                     yield Case(name, tracker, f"{prior}, fitted to {', '.join(fitted_to)}", measure)
 
 
-def generalisation(tracker: str, name: str, fitted_to: tuple[str, ...], prior: Kind) -> Figures:
+def generalisation(tracker: str, name: str, fitted_to: tuple[str, ...], prior: PriorKind) -> Figures:
     """The log density and the errors of a recording, after and before."""
     folder, others = read(name), [read(other) for other in fitted_to]
     named = tw.build(tracker, [*others, folder])

@@ -1,8 +1,7 @@
-"""Surveys: where anchors stand, from ranges of walks without truth, with intervals and verdicts."""
+"""Where anchors stand, and their delays, from ranges of walks without truth, with intervals and verdicts."""
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -14,18 +13,27 @@ from trackwright.trackers.core.data.consistency import NORMAL
 from trackwright.trackers.core.data.frames import text_lines
 from trackwright.trackers.core.errors import UnusableInput, listed, one_or_more
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.core.wording import WIDTH
 from trackwright.trackers.recordings.calibration import RANGE_PRIOR
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
+from trackwright.tuning.anchor_paths import (
+    FEWEST,
+    Prior,
+    Solution,
+    Walks,
+    covariance_of,
+    design_effect,
+    multistart,
+    solved,
+    walks_of,
+)
 from trackwright.tuning.calibrating import check_at_rest
-from trackwright.tuning.survey.solving import FEWEST, Prior, Solution, Walks, covariance_of, design_effect, walks_of
-from trackwright.tuning.survey.starts import descended, likelier, multistart, polished, seen_from
 
 HIGHEST, ROUNDS = 1000.0, 3
 """Largest height of tags, m: others are in other units; how often the design effect and the solution are computed."""
 
-EXACT, ASIDE, UNLIKELY = 1e-3, 0.1, 4.0
-"""Deviation of exact positions, m; a frame's least height over base; ratio of log-likelihoods that excludes a place."""
+EXACT, ASIDE, UNLIKELY, FLAT = 1e-3, 0.1, 4.0, 0.15
+"""Deviation of exact positions, m; a frame's least height over base; ratio of log-likelihoods that excludes a place;
+deviation of walks from a plane, m, below which anchors may be on either side of it."""
 
 COMMON_DELAY, OWN_DELAY = RANGE_PRIOR[1][0], 0.1
 """Standard deviations of delays before any range, m: of what all anchors share, and of each anchor's own."""
@@ -41,7 +49,7 @@ DELAY_DETERMINED = 0.7 * NORMAL * np.hypot(COMMON_DELAY, OWN_DELAY)
 class Survey:
     """Anchors with their positions and delays. `names` (A,); `positions` (A, 3) m; `delays` (A,) m; `covariance` (4A,
     4A), m²: of x, y, z and delay of each anchor in turn, zero where the frame or exact values fix them. `mirrored`
-    (A,): whether the mirror image of the anchor on the other side of the walk's plane fits as well. `rms`, m, and
+    (A,): whether the walks are in a plane, and nothing else says on which side of it the anchor is. `rms`, m, and
     `readings` (A,): of errors. `effect`: by how much errors that last widen variances. `paths`: positions (n, 3), m, of
     the tag in each walk. `rig`: from the first recording with these anchors, rounded to 0.1 mm. `notes`: what was
     assumed, a line each."""
@@ -70,25 +78,15 @@ class Survey:
         return self.covariance[4 * k : 4 * k + 4, 4 * k : 4 * k + 4]
 
     def verdict(self, name: str) -> str:
-        """Whether an anchor is determined, and otherwise what walk would determine it; raises UnusableInput."""
+        """Whether an anchor is determined, and otherwise what of it is not; raises UnusableInput for another name."""
         if name not in self.names:
             raise UnusableInput(f"{name!r}: no anchor of the survey; expected one of {listed(self.names, 12)}")
         k = self.names.index(name)
         what = ("x, y", "above or below the walk" if self.mirrored[k] else "height")
         unknown, weak = ([x for x, at in zip(what, self._extents(k), strict=True) if low < at <= high]
                          for low, high in ((WEAK, np.inf), (DETERMINED, WEAK)))  # fmt: skip
-        words = "; ".join(f"{how}: {', '.join(of)}" for how, of in (("not determined", unknown), ("weak", weak)) if of)
-        if not words:
-            return "determined"
-        # The walk that determines the weakest direction.
-        weakest, places = np.linalg.eigh(self.block(k)[:3, :3])[1][:, -1], np.concatenate(self.paths)
-        away = places.mean(axis=0) - self.positions[k]
-        walk = f"walk around {name}"
-        if self.mirrored[k] or abs(weakest[2]) > 0.7:
-            walk = "walk at two heights" + (f" near {name}" if np.ptp(places[:, 2]) >= 1.0 else "")
-        elif abs(weakest @ away) > 0.7 * np.linalg.norm(away):
-            walk = f"walk close to {name} and away from it"
-        return f"{words} ({walk})"
+        words = (f"{how}: {', '.join(of)}" for how, of in (("not determined", unknown), ("weak", weak)) if of)
+        return "; ".join(words) or "determined"
 
     def _extents(self, k: int) -> tuple[float, float]:
         """Half the largest horizontal axis of the 95 % interval of anchor `k`, and of its height, m."""
@@ -112,13 +110,8 @@ class Survey:
         return f"± half the 95 % interval; in parentheses: not determined. As errors are correlated in time, {wide}"
 
     def __str__(self) -> str:
-        rows = [list(self.head), *self.rows()]
-        numbers = text_lines([row[:-1] for row in rows], "<" + ">" * (len(self.head) - 2))
-        indent, lines = max(map(len, numbers)) + 2, [f"Anchors of {self.rig.name}", ""]
-        for line, row in zip(numbers, rows, strict=True):
-            begin, width = f"{line:{indent}}", max(WIDTH, indent + 25)
-            lines += textwrap.wrap(row[-1], width, initial_indent=begin, subsequent_indent=" " * indent)
-        return "\n".join([*lines, "", *textwrap.wrap(self.reading, WIDTH)])
+        lines = text_lines([list(self.head), *self.rows()], "<" + ">" * (len(self.head) - 2) + "<")
+        return "\n".join([f"Anchors of {self.rig.name}", "", *lines, "", self.reading])
 
     def __repr__(self) -> str:
         return f"<Survey of {len(self.names)} anchors from {len(self.paths)} walks; print it for a table>"
@@ -161,10 +154,13 @@ def survey(
     solution, effect = minima[0], 1.0
     for _ in range(ROUNDS):
         tempered = replace(prior, precision=prior.precision * effect)
-        solution = polished(walks, solution, tempered, random)
+        solution = solved(walks, solution, tempered)
         effect = design_effect(walks, solution, prior.free)
-    sides = known if d == 2 or given else np.full_like(known, np.nan)
-    solution, mirrored = sided(walks, solution, sides, prior.free.reshape(-1, 4), effect)
+    sides = known[:, 2] if d == 2 or given else np.full(len(names), np.nan)
+    solution, mirrored = sided(walks, solution, sides, prior.free.reshape(-1, 4)[:, :3])
+    if mirrored.any():
+        solution = solved(walks, solution, tempered)
+        notes.append("the walks are in a plane, and anchors may be above or below it; walk at two heights")
     covariance = covariance_of(walks, solution, prior, effect)
     # Given positions are known as well as that, whatever other minima there are.
     searched = prior.free.reshape(-1, 4).copy()
@@ -175,13 +171,8 @@ def survey(
     # Heights of tags that differ from walk to walk are none of the rig.
     heights = {tag: {folder.rig.tags.get(tag, Tag()).height for folder in folders} for tag in rig.tags}
     tags = {k: replace(tag, height=None) if len(heights[k]) > 1 else tag for k, tag in rig.tags.items()}
-    estimated = np.isnan(walks.heights)
-    words = listed(f"{height:g} m" for height in np.unique(walks.heights[~estimated]))
-    words = (
-        f"heights of tags known: {words}" if words else "heights of tags estimated; --height states one that is known"
-    )
-    if 0 < estimated.sum() < len(estimated):
-        words += f"; estimated: {listed(dict.fromkeys(np.array(walks.names)[estimated]))}"
+    words = listed(f"{height:g} m" for height in np.unique(walks.heights[~np.isnan(walks.heights)]))
+    words = f"heights of tags known: {words}" if words else "heights of tags estimated; --height states them"
     anchors = {**rig.anchors, **dict(zip(names, places.round(4) + 0.0, strict=True))}
     return Survey(
         names=tuple(names), positions=places, delays=solution.anchors[:, 3], covariance=covariance, mirrored=mirrored,
@@ -289,27 +280,20 @@ def framed(
 
 
 def sided(
-    walks: Walks, solution: Solution, known: np.ndarray, free: Bool[np.ndarray, "A 4"], effect: float
+    walks: Walks, solution: Solution, heights: Float[np.ndarray, " A"], free: Bool[np.ndarray, "A 3"]
 ) -> tuple[Solution, Bool[np.ndarray, " A"]]:
-    """The solution with anchors on the likely side of the walk's plane, the side of `known` (A, 3), else above, and for
-    which the other side fits as well. Anchors whose heights are not `free` have no other side."""
+    """The solution with anchors on the side of the walks' plane where their known `heights` are, else above, and which
+    have no known one. Walks that are in no plane, and anchors whose heights are not `free`, have one side."""
     at = walks.positions(solution.path)
-    centre = at.mean(axis=0)
-    normal = np.linalg.svd(at[:: max(1, len(at) // 2000)] - centre, full_matrices=False)[2][-1]
-    anchors, mirrored = solution.anchors.copy(), np.zeros(len(solution.anchors), bool)
-    for k in np.flatnonzero(free[:, 2]).tolist():
-        anchor = solution.anchors[k, :3]
-        offset = (anchor - centre) @ normal
-        image = descended(anchor[None] - 2.0 * offset * normal, *seen_from(walks, solution, k))[0]
-        if ((image - centre) @ normal) * offset >= 0.0 or likelier(walks, solution, k, image) <= -UNLIKELY * effect:
-            continue
-        other, mirrored[k] = image[2] > anchor[2], True
-        if np.isfinite(known[k, 2]):
-            side = np.abs(known[k, 2] - [anchor[2], image[2]])
-            other, mirrored[k] = side[1] < side[0], abs(known[k, 2] - centre[2]) < side.min()
-        if other:
-            anchors[k, :3] = np.where(free[k, :3], image, anchor)
-    return replace(solution, anchors=anchors), mirrored
+    _, sizes, axes = np.linalg.svd(at - at.mean(axis=0), full_matrices=False)
+    anchors, unknown = solution.anchors.copy(), np.isnan(heights)
+    if sizes[-1] >= FLAT * len(at) ** 0.5:
+        return solution, np.zeros(len(anchors), bool)
+    images = anchors[:, :3] - 2.0 * ((anchors[:, :3] - at.mean(axis=0)) @ axes[-1])[:, None] * axes[-1]
+    nearer = np.abs(images[:, 2] - heights) < np.abs(anchors[:, 2] - heights)
+    other = free[:, 2] & np.where(unknown, images[:, 2] > anchors[:, 2], nearer)
+    anchors[:, :3] = np.where(other[:, None] & free, images, anchors[:, :3])
+    return replace(solution, anchors=anchors), free[:, 2] & unknown
 
 
 def between(minima: Sequence[Solution], effect: float, d: int) -> Float[np.ndarray, " U"]:
