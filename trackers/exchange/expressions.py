@@ -52,7 +52,7 @@ class Expression(NamedTuple):
         if not self.sources:
             raise UnusableInput(f"{self.target}={self.text}: names no column; expected {_FORM}")
         if _DATE.fullmatch(self.unit) and file.frame[self.sources[0]].dtype not in (pl.Datetime, pl.Date):
-            return _moments(file, self.date_texts(file), " + ".join(self.sources), self.unit)
+            return _dates(file, self.sources, self.guessed_order(file) or self.unit)
         total = (frame := pl.DataFrame({f"c{k}": numbers_of(file, s) for k, s in enumerate(self.sources)}))["c0"]
         if self.sql != "c0":
             try:
@@ -68,10 +68,11 @@ class Expression(NamedTuple):
         scale = UNITS.get(self.target.rpartition("_")[2], {}).get(self.unit, 1.0)
         return total if scale == 1.0 else total * scale
 
-    def date_texts(self, file: TableFile) -> pl.Series:
-        """The texts of its columns without blanks, of several joined by blanks."""
-        texts = pl.col(self.sources).cast(pl.String).str.strip_chars()
-        return file.frame.select(pl.concat_str(texts, separator=" ")).to_series()
+    def guessed_order(self, file: TableFile) -> str:
+        """The order of dates with dots, unknown to ISO, which are day, month, year everywhere; else nothing."""
+        texts = file.frame[self.sources[0]].cast(pl.String) if self.unit == "iso" else pl.Series([""])
+        dotted = re.match(r"\s*\d{1,2}\.\d{1,2}\.\d{4}\b", next(filter(None, texts), ""))
+        return "dd.mm.yyyy" if dotted else ""
 
     def ids(self, file: TableFile) -> pl.Series:
         """Its texts in the rows of a file; raises UnusableInput for a column of other values."""
@@ -143,15 +144,12 @@ def numbers_of(file: TableFile, column: str) -> pl.Series:
     return numbers.fill_nan(None)
 
 
-def order_in(texts: pl.Series, order: str) -> str:
-    """The order of the dates in a column: dotted ones, unknown to ISO, are day, month, year everywhere."""
-    dotted = re.match(r"\d{1,2}\.\d{1,2}\.\d{4}\b", next(filter(None, texts), ""))
-    return order if order != "iso" else "dd.mm.yyyy" if dotted else "yyyy-mm-dd"
-
-
-def _moments(file: TableFile, texts: pl.Series, column: str, order: str) -> pl.Series:
-    """Times of day, which go on after midnight, or dates, all as the first, as s since 1970, UTC without a zone."""
-    full, order = (texts != "").fill_null(False), order_in(texts, order)
+def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
+    """Dates in an order, all as the first, as s since 1970, UTC without a zone; or times of day, also past midnight."""
+    texts = file.frame.select(
+        pl.concat_str(pl.col(columns).cast(pl.String).str.strip_chars(), separator=" ")
+    ).to_series()
+    full, order, column = (texts != "").fill_null(False), order.replace("iso", "yyyy-mm-dd"), " + ".join(columns)
     first = next(iter(texts.filter(full)), "")
     if order == CLOCK:
         parts = texts.str.replace(",", ".").str.extract_groups(r"^(\d\d?):(\d\d)(?::(\d\d(?:\.\d*)?))?$")
@@ -168,7 +166,8 @@ def _moments(file: TableFile, texts: pl.Series, column: str, order: str) -> pl.S
     if (wrong := full & found.is_null()).any():
         row = first_row(wrong)
         alike = f"as {first!r}, a time zone in all rows or none" if row != first_row(full) else "no order is guessed"
-        mark, named = "/" if "/" in texts[row] else "-", re.search("-[A-Za-z]{3}-", texts[row])
+        mark = next((one for one in "/." if one in texts[row].split(" ")[0]), "-")
+        named = re.search("-[A-Za-z]{3}-", texts[row])
         orders = ["dd-mmm-yyyy"] if named else [f"mm{mark}dd{mark}yyyy", f"dd{mark}mm{mark}yyyy"]
         fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
         raise UnusableInput(f"{file.location(row, column)}: {texts[row]!r}; expected {order}, {alike}: {fix}")

@@ -16,21 +16,16 @@ from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate
-from trackwright.trackers.exchange.expressions import numbers_of
-from trackwright.trackers.exchange.mapping import refuse_lost_digits
 from trackwright.trackers.exchange.trajectories import Poses, Similarity, poses_of, read_trajectory
 from trackwright.trackers.recordings.checks.rules import check_units
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
 from trackwright.trackers.recordings.selection import Selection
-from trackwright.trackers.recordings.table_file import SUFFIXES, read_table_file
-from trackwright.trackers.recordings.tables import check_stds
 from trackwright.trackers.recordings.tracks_table import is_bearing, read_tracks
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 Statistics = dict[str, float]
 ALIKE = 0.3  # the least correlation of aligned positions with the true ones from which an alignment is taken
 STEPS = ("1m", "1s")
-_TEXT = ("recording", "tag", "station", "status", "wrapped")
 
 
 def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estimate") -> Similarity:
@@ -216,29 +211,6 @@ def pooled(errors: Sequence[TrajectoryErrors]) -> dict[str, float]:
     return {name: math.sqrt(sum(x["sse"] for x in all_) / sum(x["n"] for x in all_)) for name, all_ in by_name.items()}
 
 
-def read_estimates(path: Path) -> tuple[pl.DataFrame, list[str]]:
-    """The estimates in a TUM file, or a table with columns that `track` writes, and notices; or UnusableInput."""
-    if not path.name.lower().endswith(SUFFIXES):
-        return read_trajectory(path)
-    file = read_table_file(path)
-    columns = file.frame.columns
-    stds = {"std_x_m", "std_y_m"} if {"std_x_m", "std_y_m"} & {*columns} else set()
-    if missing := sorted({"t_s", "x_m", "y_m", *stds} - {*columns}):
-        expected = "expected t_s, x_m, y_m and optionally z_m, std_x_m with std_y_m …, qw … qz"
-        fix = "bring it into this form by `trackwright import`"
-        raise UnusableInput(f"{path}: no column {', '.join(missing)}; found {listed(columns, 12)}; {expected}; {fix}")
-    frame = file.frame.select(
-        pl.col(name).cast(pl.String) if name in _TEXT else numbers_of(file, name) for name in columns
-    )
-    # The standard deviation of a known height is 0.
-    reported = frame.select(pl.col("^std_.*$").replace(0.0, None))
-    check_stds(file, reported, reported.columns)
-    keys = [name for name in ("recording", "tag", "station") if name in columns]
-    for rows in frame.partition_by(keys) if keys else [frame]:
-        refuse_lost_digits(f"{path}", rows)
-    return frame, []
-
-
 def _truths(paths: Sequence[Path], tag: str, say: Callable[[str], None]) -> list[RecordingFolder]:
     """The recordings, or a trajectory file as the truth of one tag; raises UnusableInput without a truth."""
     expected = "expected recording folders with truth, or one trajectory file: --truth FOLDER|FILE"
@@ -249,7 +221,7 @@ def _truths(paths: Sequence[Path], tag: str, say: Callable[[str], None]) -> list
     if paths[0].is_dir():
         folders = read_recordings(paths)
     else:
-        table, lines = read_estimates(paths[0])
+        table, lines = read_trajectory(paths[0])
         table = table if "tag" in table.columns else table.with_columns(tag=pl.lit(tag))
         names = [n for n in ("t_s", "tag", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz") if n in table.columns]
         name = paths[0].stem
@@ -299,7 +271,7 @@ class PoseComparison:
         if name is not None and not truth[0].is_dir():
             folders = [replace(folders[0], name=name)]
         if not source.is_dir():
-            read, lines = read_estimates(source)
+            read, lines = read_trajectory(source)
             truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
             tracks = part.of_estimates(_assigned(read, truths, tag, source))
             # Beside a truth in a file there is no geometry by which estimates may be large.
@@ -316,9 +288,7 @@ class PoseComparison:
         `options`: those of `compare_trajectories`. Raises UnusableInput.
         """
         if is_bearing(self.tracks):
-            raise UnusableInput(
-                "the tracks hold bearings; expected positions; leave the trajectory options out"
-            )
+            raise UnusableInput("the tracks hold bearings; expected positions; leave the trajectory options out")
         none, compared = pl.DataFrame(schema={"tag": pl.String}), list[TrajectoryErrors]()
         truths = {folder.name: folder.tables.get("truth", none) for folder in self.folders}
         by_track = self.tracks.partition_by(["recording", "tag"], as_dict=True, maintain_order=True)

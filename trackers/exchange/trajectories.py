@@ -16,21 +16,20 @@ from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.rows import AXES, covariances
 from trackwright.trackers.exchange.expressions import numbers_of
-from trackwright.trackers.exchange.mapping import Asked, Source, refuse_lost_digits
+from trackwright.trackers.exchange.mapping import refuse_lost_digits, without_identities
 from trackwright.trackers.exchange.text_tables import Reading, read_rows
 from trackwright.trackers.recordings.atomic import write_whole
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.kinds import QUATERNION
 from trackwright.trackers.recordings.rig_file import RIG_FILE
-from trackwright.trackers.recordings.table_file import TableFile, first_row
-from trackwright.trackers.recordings.tables import restarted_at, unwrapped_times
-from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, read_tracks
+from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, first_row, read_table_file
+from trackwright.trackers.recordings.tables import check_stds, restarted_at, unwrapped_times
+from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, read_tracks
 
 TUM = ("t_s", *AXES, *QUATERNION[1:], QUATERNION[0])
-_TUM_WORDS = (
-    "8 numbers in each line: time in s, x, y, z in m, quaternion x, y, z, w; other files: `trackwright import`"
-)
+_TUM_WORDS = "8 numbers in each line: time in s, x, y, z in m, quaternion x, y, z, w; other files: `trackwright import`"
+_TEXT = ("recording", "tag", "station", "status", "wrapped")
 _STDS, _VELOCITY = tuple(f"std_{axis}" for axis in AXES), tuple(f"v{axis}_mps" for axis in "xyz")
 
 
@@ -58,14 +57,12 @@ def poses_of(table: pl.DataFrame, name: str) -> Poses:
     """The usable poses of a table of one tag, with attitudes where all rows have one; raises UnusableInput for none."""
     rows = usable_rows(table)
     if rows.is_empty():
-        raise UnusableInput(
-            f"{name}: no pose; expected rows with t_s, x_m, y_m and, where known, z_m, qw … qz"
-        )
+        raise UnusableInput(f"{name}: no pose; expected rows with t_s, x_m, y_m and, where known, z_m, qw … qz")
     q = stacked(rows, QUATERNION)
-    given = np.isfinite(q).all() and q.any(axis=1).all()
-    return Poses(
-        float_column(rows, "t_s"), stacked(rows, AXES), Rotation.from_quat(q, scalar_first=True) if given else None
-    )
+    if not q.any(axis=1).all():
+        raise UnusableInput(f"{name}: pose {int(np.argmin(q.any(axis=1))) + 1} has a zero quaternion; leave it out")
+    attitudes = Rotation.from_quat(q, scalar_first=True) if np.isfinite(q).all() else None
+    return Poses(float_column(rows, "t_s"), stacked(rows, AXES), attitudes)
 
 
 def stacked(table: pl.DataFrame, names: Sequence[str]) -> np.ndarray:
@@ -111,57 +108,55 @@ class Similarity:
         return tracks.with_columns(pl.Series(name, values).fill_nan(None) for name, values in kept.items())
 
 
-def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
-    """The poses in a TUM file, sorted by time, in the columns of a truth, and notices; # begins a comment.
-
-    A file whose attitudes are all the identity has none. Raises UnusableInput with file and line.
-    """
-    file, _ = read_rows(Path(path), Reading(separator=" ", header="none"))
+def read_tum(path: Path) -> TableFile:
+    """The columns of a TUM file as texts; # begins a comment. Raises UnusableInput with file and line."""
+    file, _ = read_rows(path, Reading(separator=" ", header="none"))
     counts = file.frame.select(pl.sum_horizontal(pl.all().str.strip_chars().fill_null("") != "")).to_series()
     if (counts != len(TUM)).any():
         row = first_row(counts != len(TUM))
         raise UnusableInput(f"{file.location(row, f'column{counts[row]}')}, the last; expected {_TUM_WORDS}")
-    table = pl.DataFrame({name: numbers_of(file, f"column{k}") for k, name in enumerate(TUM, 1)})
-    for name, values in zip(TUM, table, strict=True):
-        if not (known := values.is_finite().fill_null(False)).all():
-            row, column = first_row(~known), f"column{TUM.index(name) + 1}"
-            raise UnusableInput(f"{file.location(row, column)}: not finite; expected {_TUM_WORDS}")
-    if (zero := table.select(pl.all_horizontal(pl.col(QUATERNION) == 0)).to_series()).any():
-        raise UnusableInput(f"{file.location(first_row(zero), 'column5')}: a zero quaternion; leave the pose out")
-    times, notices = unwrapped_times(table["t_s"].to_numpy())
-    refuse_lost_digits(f"{path}", table := table.with_columns(t_s=times))
-    if (at := restarted_at(times)) is not None:
-        found = f"pose {at + 1}: {times[at]:.3f} s after {times[:at].max():.3f} s: the clock went back"
-        raise UnusableInput(f"{path}: {found}; expected times that increase; make the poses before and after two files")
-    if (steps := np.diff(times)).min(initial=0) < 0:
-        back = f"{int((steps < 0).sum())}, by {-float(steps.min()):.6g} s at most"
-        notices.append(f"rows earlier than the previous row: {back}; sorted")
-    if (table["qw"] == 1).all() and not table.select(QUATERNION[1:]).to_numpy().any():
-        notices.append("every quaternion is the identity; read as positions without attitude")
-        table = table.drop(QUATERNION)
-    return table.sort("t_s", maintain_order=True), notices
+    return replace(file, frame=file.frame.rename(dict(zip(file.frame.columns, TUM, strict=True))))
 
 
-def read_source(path: Path, name: str, asked: Asked) -> Source:
-    """The poses of a TUM file as the table of each mapping; raises UnusableInput with file and line."""
-    source, (poses, notices) = Source(), read_trajectory(path)
-    for mapping in asked.mappings:
-        if mapping.table not in ("truth", "fixes"):
-            raise UnusableInput(f"{path}: poses are a table truth or fixes, not {mapping.table}; give --table truth")
-        source.notices += [f"{mapping.table}: {line}" for line in notices]
-        source.read(TableFile(path, poses), mapping)
-    return source
+def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
+    """The poses in a TUM file, or a table with columns that `track` writes, by time, and notices; or UnusableInput."""
+    is_table = Path(path).name.lower().endswith(SUFFIXES)
+    file = read_table_file(Path(path)) if is_table else read_tum(Path(path))
+    columns = file.frame.columns
+    stds = {"std_x_m", "std_y_m"} if {"std_x_m", "std_y_m"} & {*columns} else set()
+    if missing := sorted({"t_s", "x_m", "y_m", *stds} - {*columns}):
+        expected = "expected t_s, x_m, y_m and optionally z_m, std_x_m with std_y_m …, qw … qz"
+        fix = "bring it into this form by `trackwright import`"
+        raise UnusableInput(f"{path}: no column {', '.join(missing)}; found {listed(columns, 12)}; {expected}; {fix}")
+    table = file.frame.select(
+        pl.col(name).cast(pl.String) if name in _TEXT else numbers_of(file, name) for name in columns
+    )
+    # The standard deviation of a known height is 0.
+    reported = table.select(pl.col("^std_.*$").replace(0.0, None))
+    check_stds(file, reported, reported.columns)
+    table, notices = without_identities(table)
+    keys, tracks = [name for name in ("recording", "tag", "station") if name in columns], list[pl.DataFrame]()
+    for rows in table.partition_by(keys, maintain_order=True) if keys else [table]:
+        times, said = unwrapped_times(rows["t_s"].to_numpy())
+        tracks.append(rows.with_columns(t_s=times).sort("t_s", maintain_order=True))
+        refuse_lost_digits(f"{path}", tracks[-1])
+        if (at := restarted_at(times)) is not None:
+            found = f"pose {at + 1}: {times[at]:.3f} s after {times[:at].max():.3f} s: the clock went back"
+            raise UnusableInput(f"{path}: {found}; expected times that increase; make two files of it")
+        if (steps := np.diff(times)).min(initial=0) < 0:
+            back = f"{int((steps < 0).sum())}, by {-float(steps.min()):.6g} s at most"
+            said.append(f"rows earlier than the previous row: {back}; sorted")
+        notices += said
+    return pl.concat(tracks), notices
 
 
 def write_trajectory(table: pl.DataFrame, path: Path | str) -> Path:
     """Writes the usable poses of one tag as TUM with all digits, and returns the path.
 
-    An unknown height is written as 0; an unknown attitude is that of a level body by its heading, or the identity.
+    An unknown height is written as 0, an unknown attitude as the identity.
     """
-    rows = usable_rows(table)
-    numbers, half = np.nan_to_num(stacked(rows, TUM)), np.nan_to_num(float_column(rows, HEADING)) / 2
-    level = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=1)
-    numbers[:, 4:] = np.where(numbers[:, 4:].any(axis=1, keepdims=True), numbers[:, 4:], level)
+    numbers = np.nan_to_num(stacked(usable_rows(table), TUM))
+    numbers[:, 7] = np.where(numbers[:, 4:].any(axis=1), numbers[:, 7], 1.0)
     return write_whole(Path(path), "".join(" ".join(map(repr, row)) + "\n" for row in numbers.tolist()))
 
 
