@@ -44,14 +44,14 @@ COMMANDS = {
 
 RARE, ALL = "Rarely needed", "--help-all"
 SECTIONS = {
-    "Input": "tag from to calibration truth held-out table columns mapping topic rig format origin header missing "
+    "Input": "tag from to calibration truth held-out table columns mapping topic rig format header missing "
     "given",
     "Tracker": "tracker set noise fit smooth lag",
     "Fit": "objective tune freeze bound prior start over repeats",
     "Output": "out figures json fail-if check replace path align-truth transform",
     "Running": "runs seed until shard keep-going resume force",
-    RARE: "average free-height side dimensions weigh starts optimiser steps piece-rows cluster all-pairs "
-    "time-tolerance separator decimal skip encoding thousands messages interval skip-bad-lines",
+    RARE: "average free-height side dimensions weigh starts optimiser steps piece-rows cluster "
+    "time-tolerance separator decimal skip encoding thousands",
 }
 """The options of each section of help; the last section is shown by `--help-all` alone."""
 

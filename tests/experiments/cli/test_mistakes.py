@@ -95,7 +95,7 @@ MISTAKES = [
     (POSES + "--tag T1 --time-offset -0.17", "half of the poses have a true one within 0.03 s"),
     (POSES + "--tag T1 --rpe 5km", "such as 1m"),
     ("evaluate {tum}", "--truth: found none"),
-    ("evaluate {tum} --truth nowhere.tum", "--truth nowhere.tum: does not exist", "or one trajectory file"),
+    ("evaluate {tum} --truth nowhere.tum", "--truth: found nowhere.tum", "or one trajectory file, that exist"),
     ("calibrate {good} --out {file}", "expected a file with the ending .toml"),
     ("calibrate {good} --out {good}/c.toml", "is a recording folder"),
     ("calibrate {blind} --out out/c.toml", "no truth table; expected truth to calibrate against"),
