@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import FunctionType
@@ -34,18 +35,16 @@ FORMATS = {"csv": (*SUFFIXES, ".tsv"), "json": (".jsonl", ".ndjson", ".json"), "
 
 
 def format_of(path: Path) -> str:
-    """The name of a file's format, by its ending or first line; raises UnusableInput where it cannot be read."""
+    """The name of a file's format, by its ending or else its first line."""
     if path.is_dir():
         return "ros"
-    if named := next((name for name, endings in FORMATS.items() if path.name.lower().endswith(endings)), None):
-        return named
-    try:
-        first = re.sub(r"(?m)^\s*(#.*)?$\n?", "", beginning(path, 20_000).decode("utf-8-sig", errors="replace"))
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    if re.match(r"[^,;\s]+([ \t]+[^,;\s]+){7}[ \t\r]*(\n|$)", first):
-        return "tum"
-    return "json" if re.match(r"[^{\n]*\{.*\}\s*(\n|$)", first) else "csv"
+    named, text = (n for n, endings in FORMATS.items() if path.name.lower().endswith(endings)), b""
+    with suppress(OSError):  # the reader says why
+        text = beginning(path, 20_000)
+    first = re.sub(r"(?m)^\s*(#.*)?$\n?", "", text.decode("utf-8-sig", errors="replace"))
+    is_tum = re.match(r"[^,;\s]+([ \t]+[^,;\s]+){7}[ \t\r]*(\n|$)", first)
+    is_json = re.match(r"[^{\n]*\{.*\}\s*(\n|$)", first)
+    return next(named, "tum" if is_tum else "json" if is_json else "csv")
 
 
 def read_source(path: Path, name: str, mappings: Sequence[TableMapping], shared: Mapping[str, Any] = {}) -> Source:
@@ -57,20 +56,14 @@ def read_source(path: Path, name: str, mappings: Sequence[TableMapping], shared:
         from trackwright.trackers.exchange.ros_reader import read_bag
 
         return read_bag(path, mappings)
-    source, empty = Source(), list[str]()
+    source = Source()
     for mapping in mappings:
-        try:
-            file, notices = (read_tum(path), []) if name == "tum" else read_rows(path, mapping, name == "json")
-        except UnusableInput as problem:
-            # A log may have lines of some of the tables alone.
-            if mapping.lines is None or len(mappings) == 1 or "no values" not in str(problem):
-                raise
-            empty.append(str(problem))
-            continue
+        file, notices = (read_tum(path), []) if name == "tum" else read_rows(path, mapping, name == "json")
         source.notices += [line for line in notices if line not in source.notices]
-        source.read(file, mapping)
+        if len(file.frame):  # a log may have lines of some of the tables alone
+            source.read(file, mapping)
     if not source.tables:
-        raise UnusableInput(empty[0])
+        raise UnusableInput(f"{path}: no line has values; expected JSON objects, or lines that fit the mapping")
     return source
 
 
@@ -92,10 +85,9 @@ def _own_frames(path: Path, name: str) -> Mapping[str, Any]:
 
 
 def _of_frames(
-    frames: Mapping[str, Any], columns: Mapping[str, Mapping[str, str]], tag: str | None, where: str,
-    shared: Mapping[str, str] = {},
-) -> Source:  # fmt: skip
-    """The tables of pandas or polars frames by expressions of each table, or shared by all."""
+    frames: Mapping[str, Any], columns: Mapping[str, Mapping[str, str]], tag: str | None, where: str
+) -> Source:
+    """The tables of pandas or polars frames by expressions of each table."""
     source = Source()
     for table, frame in frames.items():
         try:
@@ -127,14 +119,13 @@ def import_frames(
 ) -> RecordingFolder:
     """A recording from pandas or polars frames by table, checked as if it were read from a folder.
 
-    `rig`: the geometry, or the path of a rig.toml; needed for readings of anchors and stations. `columns`: by table,
-    expressions such as `range_m=distance_mm*0.001` or `t_s=stamp in ms` (docs/import.md); columns that have the name of
-    their target need none. `tag`: the id of all rows, where no column has it. `name`: of the recording, by default that
-    of the rig. Raises UnusableInput.
+    `rig`: the geometry, or the path of a rig.toml. `columns`: by table, expressions such as `t_s=stamp in ms`
+    (docs/import.md); columns that have the name of their target need none. `tag`: the id of all rows, where no column
+    has it. `name`: of the recording, by default that of the rig. Raises UnusableInput.
     """
     require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
-    fits = columns is None or isinstance(columns, Mapping)
-    require(fits, "import_frames: columns", columns, "expressions by table, as {'ranges': ['range_m=distance in mm']}")
+    expected = "expressions by table, as {'ranges': ['range_m=distance in mm']}"
+    require(isinstance(columns, Mapping | None), "import_frames: columns", columns, expected)
     source = _of_frames(frames, {table: columns_of(e) for table, e in (columns or {}).items()}, tag, "frame ")
     rig = read_rig(Path(rig))[0] if isinstance(rig, (str, Path)) else rig
     with tempfile.TemporaryDirectory() as scratch:

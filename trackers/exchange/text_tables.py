@@ -169,9 +169,6 @@ def _of_lines(path: Path, text: str, pattern: re.Pattern[str] | None) -> Rows:
             read += 1
         else:
             bad.append(number)
-    if not rows:
-        expected = "a JSON object in each line" if pattern is None else f"lines with {pattern.pattern}"
-        raise UnusableInput(f"{path}: no values; expected {expected}")
     names = dict.fromkeys(name for row in rows for name in row)
     said = f"{counted(len(bad), 'line')} without values left out: {listed(bad)}"
     return pl.DataFrame(rows, dict.fromkeys(names, pl.String)), lines, [said] * bool(bad)

@@ -23,6 +23,7 @@ from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.kinds import QUATERNION
 from trackwright.trackers.recordings.rig_file import RIG_FILE
+from trackwright.trackers.recordings.selection import Selection
 from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, first_row, read_table_file
 from trackwright.trackers.recordings.tables import check_stds, restarted_at, unwrapped_times
 from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, read_tracks
@@ -111,7 +112,7 @@ class Similarity:
 def read_tum(path: Path) -> TableFile:
     """The columns of a TUM file as texts; # begins a comment. Raises UnusableInput with file and line."""
     file, _ = read_rows(path, Reading(separator=" ", header="none"))
-    counts = file.frame.select(pl.sum_horizontal(pl.all().str.strip_chars().fill_null("") != "")).to_series()
+    counts = file.frame.select(pl.sum_horizontal(pl.all().is_not_null())).to_series()
     if (counts != len(TUM)).any():
         row = first_row(counts != len(TUM))
         raise UnusableInput(f"{file.location(row, f'column{counts[row]}')}, the last; expected {_TUM_WORDS}")
@@ -123,14 +124,10 @@ def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
     is_table = Path(path).name.lower().endswith(SUFFIXES)
     file = read_table_file(Path(path)) if is_table else read_tum(Path(path))
     columns = file.frame.columns
-    stds = {"std_x_m", "std_y_m"} if {"std_x_m", "std_y_m"} & {*columns} else set()
-    if missing := sorted({"t_s", "x_m", "y_m", *stds} - {*columns}):
-        expected = "expected t_s, x_m, y_m and optionally z_m, std_x_m with std_y_m …, qw … qz"
-        fix = "bring it into this form by `trackwright import`"
-        raise UnusableInput(f"{path}: no column {', '.join(missing)}; found {listed(columns, 12)}; {expected}; {fix}")
-    table = file.frame.select(
-        pl.col(name).cast(pl.String) if name in _TEXT else numbers_of(file, name) for name in columns
-    )
+    if missing := {"t_s", "x_m", "y_m", *({"std_x_m", "std_y_m"} if "std_x_m" in columns else ())} - {*columns}:
+        fix = "expected also z_m, std_x_m …, qw … qz where known; bring it into this form by `trackwright import`"
+        raise UnusableInput(f"{path}: no column {listed(sorted(missing))}; found {listed(columns, 12)}; {fix}")
+    table = file.frame.select(pl.col(n).cast(pl.String) if n in _TEXT else numbers_of(file, n) for n in columns)
     # The standard deviation of a known height is 0.
     reported = table.select(pl.col("^std_.*$").replace(0.0, None))
     check_stds(file, reported, reported.columns)
@@ -143,10 +140,8 @@ def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
         if (at := restarted_at(times)) is not None:
             found = f"pose {at + 1}: {times[at]:.3f} s after {times[:at].max():.3f} s: the clock went back"
             raise UnusableInput(f"{path}: {found}; expected times that increase; make two files of it")
-        if (steps := np.diff(times)).min(initial=0) < 0:
-            back = f"{int((steps < 0).sum())}, by {-float(steps.min()):.6g} s at most"
-            said.append(f"rows earlier than the previous row: {back}; sorted")
-        notices += said
+        late = int((np.diff(times) < 0).sum())
+        notices += said + [f"rows earlier than the previous row: {late}; sorted"] * bool(late)
     return pl.concat(tracks), notices
 
 
@@ -167,34 +162,25 @@ def export_tracks(
 
     `tum`: a file for each track, of one track `out`. `force`: replace a file that exists. Raises UnusableInput.
     """
-    if not (run / RIG_FILE).is_file():
-        table = read_tracks(run)
-    elif "truth" in (recording := read_recording(run)).tables:
-        table = recording.tables["truth"].with_columns(recording=pl.lit(recording.name))
-    else:
+    recording = read_recording(run) if (run / RIG_FILE).is_file() else None
+    table = read_tracks(run) if recording is None else recording.tables.get("truth")
+    if table is None:
         raise UnusableInput(f"{run}: has no truth table; expected a folder of `track`, or a recording with truth")
-    if tag is not None:
-        tags = sorted(table["tag"].cast(pl.String).unique())
-        table = table.filter(pl.col("tag").cast(pl.String) == tag)
-        if table.is_empty():
-            raise UnusableInput(f"--tag {tag}: no row of it; found {listed(tags)}")
-    if format == "tum" and is_bearing(table):
-        raise UnusableInput("the tracks hold bearings, no positions; --format csv writes them")
+    table = Selection(() if tag is None else (tag,)).of_estimates(table)
+    if recording is not None:
+        table = table.with_columns(recording=pl.lit(recording.name))
     tracks = {out: table}
     if format == "tum":
-        usable = usable_rows(table).partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
-        names = (re.sub(r"[^\w.-]", "_", f"{recording}-{tag}")[:100] for recording, tag in usable)
-        files = [out] if len(usable) == 1 and out.suffix else [out / f"{name}.tum" for name in names]
-        tracks = dict(zip(files, usable.values(), strict=True))
-    if not tracks:
-        raise UnusableInput("no track holds an estimate; run `trackwright check` on the recording")
+        if is_bearing(table) or (table := usable_rows(table)).is_empty():
+            raise UnusableInput(f"{run}: holds no estimate of a position; --format csv writes what there is")
+        parts = table.partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
+        names = (re.sub(r"[^\w.-]", "_", f"{recording}-{tag}")[:100] for recording, tag in parts)
+        files = [out] if len(parts) == 1 and out.suffix else [out / f"{name}.tum" for name in names]
+        tracks = dict(zip(files, parts.values(), strict=True))
     if out.is_dir() and any(out.iterdir()):
         raise UnusableInput(f"--out {out}: is a folder with content; expected a new file or an empty folder")
     if not force and (old := next((path for path in (out, *tracks) if path.is_file()), None)):
         raise UnusableInput(f"--out {old}: exists; expected a new file; --force replaces it")
     for path, rows in tracks.items():
-        if format == "csv":
-            write_whole(path, rows.write_csv())
-        else:
-            write_trajectory(rows, path)
+        write_whole(path, rows.write_csv()) if format == "csv" else write_trajectory(rows, path)
         yield f"wrote {path}: {counted(len(rows), 'pose' if format == 'tum' else 'row')}"

@@ -99,7 +99,7 @@ MISTAKES = [
     ("calibrate {good} --out {file}", "expected a file with the ending .toml"),
     ("calibrate {good} --out {good}/c.toml", "is a recording folder"),
     ("calibrate {blind} --out out/c.toml", "no truth table; expected truth to calibrate against"),
-    ("export {tracked} --format tum --tag x --out out", "found T1, T2"),
+    ("export {tracked} --format tum --tag x --out out", "expected tags among T1, T2"),
     ("trackers uvb", "tracker uvb: unknown"),
     ("simulate station --out out --masked-antenna 1 9", "--masked-antenna"),
     ("simulate station --out {good}", "folder is not empty"),

@@ -250,7 +250,7 @@ def _when(unit):
         ("log.csv", DATES.format("05/04/2026 02:13 PM", ""), _when("mm/dd/yyyy"), "expected mm/dd/yyyy"),
         ("log.csv", DATES.format(NO_ZONE, ZONE), _when("iso"), r"line 3\), .*a time zone in all rows or none"),
         ("log.csv", "t,d1,d2\n2026-05-04T14:13:20,1,2\n", {}, "'t_s=t in iso'"),
-        ("log.jsonl", "{}\n", {}, "no values; expected a JSON object in each line"),
+        ("log.jsonl", "{}\n", {}, "no line has values; expected JSON objects"),
         ("log.txt", "INFO 0.1 range 2.3\nINFO 0.2 range 2.4\n", {}, "no column 't'; found 'INFO'"),
         ("log.txt", "NO_OF_FRAMES\t2\nFrame\tTime\tX\n1\t0.0\t2.5\n2\t0.1\t2.6\n", {}, "line 2 has 3 cells, .*--header LINE"),
         ("log.txt", "some notes\n", {}, "has no rows, expected at least one below line 1"),
