@@ -216,10 +216,15 @@ def test_the_clock_is_found_where_readings_come_at_the_first_time_of_the_truth()
     assert found.later == pytest.approx(0.3, abs=0.02)
 
 
-def test_a_height_that_biases_of_ranges_do_not_determine_stays_as_it_is():
+def test_a_height_that_biases_of_ranges_to_a_ceiling_do_not_determine_stays_as_it_is():
     folder = tw.simulate.ranges(n=1, rows=400, seed=4, hidden=0.0, bias=0.0).folder()
-    longer = folder.tables["ranges"].with_columns(pl.col("range_m") + 0.04)
-    found, words = found_placement(replace(folder, tables={**folder.tables, "ranges": longer}))
+    anchors = {name: np.append(place[:2], 3.0) for name, place in folder.rig.anchors.items()}
+    table = folder.tables["ranges"].join(folder.tables["truth"].select("t_s", "x_m", "y_m", "z_m"), "t_s")
+    far = np.linalg.norm(table.select("x_m", "y_m", "z_m").to_numpy() - [anchors[a] for a in table["anchor"]], axis=1)
+    noise = np.random.default_rng(2).normal(0.04, 0.03, len(far))
+    longer = table.with_columns(range_m=pl.Series(far + noise)).select(folder.tables["ranges"].columns)
+    rig = replace(folder.rig, anchors=anchors)
+    found, words = found_placement(replace(folder, rig=rig, tables={**folder.tables, "ranges": longer}))
     assert found.z == 0.0
     assert "z as it was" in words
     assert "standard errors" in words
