@@ -14,7 +14,7 @@ from tests.bags import write_bag
 from tests.in_process import assert_refused_last, trackwright
 
 PAGE = Path(__file__).parents[1] / "docs" / "import.md"
-LINE = "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51 111C[5.00,0.00,2.25]=3.18 est[2.57,1.98,1.68,100]"
+LINE = "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51 est[2.57,1.98,1.68,100]"
 
 
 def _blocks(language):
@@ -26,6 +26,7 @@ def files(tmp_path, monkeypatch):
     """A folder with the files that the page names; it is the current one."""
     pytest.importorskip("rosbags", reason="rosbags is not installed; the extra ros has it")
     anchors = {"A1": (0.0, 0.0, 2.0), "A2": (6.0, 0.0, 2.5), "0x0F": (0.0, 5.0, 2.2), "A4": (6.0, 5.0, 2.1)}
+    anchors |= {"1151": (5.0, 8.0, 2.25), "0CA8": (0.0, 8.0, 2.25)}
     lines = "".join(f"{name} = {list(place)}\n" for name, place in anchors.items())
     (tmp_path / "rig.toml").write_text(f'format = 1\nname = "hall"\n[anchors]\n{lines}')
     times = np.arange(0, 200) * 0.05

@@ -43,14 +43,13 @@ COMMANDS = {
 
 RARE, ALL = "Rarely needed", "--help-all"
 SECTIONS = {
-    "Input": "tag from to calibration truth held-out table columns mapping topic rig format origin header missing "
-    "given",
+    "Input": "tag from to calibration truth held-out table columns mapping topic rig format header missing given",
     "Tracker": "tracker set noise fit smooth lag",
     "Fit": "objective tune freeze bound start over align time-offset rpe",
     "Output": "out figures json fail-if replace align-truth transform",
     "Running": "runs seed until resume force",
-    RARE: "average free-height side dimensions starts steps prior cluster all-pairs time-tolerance separator decimal "
-    "skip encoding thousands messages interval skip-bad-lines",
+    RARE: "average free-height side dimensions starts steps prior cluster time-tolerance separator decimal skip "
+    "encoding thousands",
 }
 """The options of each section of help; the last section is shown by `--help-all` alone."""
 

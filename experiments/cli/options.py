@@ -276,7 +276,6 @@ class PoseOptions:
         time_offset: added to the times of the estimates.
         time_tolerance: largest distance in time between a pose and its true pose; default: 0.01.
         rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
-        all_pairs: relative pose errors from every pose, not from the end of the step before.
         out: a folder for the page, evaluation.json and the tracks as compared.
     """
 
@@ -284,7 +283,6 @@ class PoseOptions:
     time_offset: Annotated[float, Parameter(metavar="S")] = 0.0
     time_tolerance: Seconds | None = None
     rpe: tuple[Annotated[str, Parameter(metavar="STEP")], ...] = ()
-    all_pairs: bool = False
     out: Out | None = None
 
 

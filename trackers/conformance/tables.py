@@ -15,7 +15,7 @@ from trackwright.trackers.conformance import contract
 from trackwright.trackers.conformance.contract import BrokenContract, NotApplicable, check
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.exchange.imported import import_frames
+from trackwright.trackers.exchange.importing import import_frames
 from trackwright.trackers.recordings.checks.all_checks import check as check_recording
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import Kind, Sensors

@@ -1,4 +1,4 @@
-from trackwright.trackers.exchange.imported import import_frames as import_frames
+from trackwright.trackers.exchange.importing import import_frames as import_frames
 from trackwright.trackers.exchange.pose_errors import TrajectoryErrors as TrajectoryErrors
 from trackwright.trackers.exchange.pose_errors import compare_trajectories as compare_trajectories
 from trackwright.trackers.exchange.trajectories import read_trajectory as read_trajectory

@@ -1,100 +1,269 @@
-"""The import of one source into a recording folder, from format and mapping to the frame of its truth."""
+"""Files and frames of other programs made recordings: read, put together, checked as any, and written at once."""
 
 from __future__ import annotations
 
-import dataclasses
+import re
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+from types import FunctionType
+from typing import Any
 
+import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.seconds import moment
-from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.exchange.formats import format_of, has_tables
-from trackwright.trackers.exchange.imported import assembled, origin_of, read_geometry, read_source, save, since
-from trackwright.trackers.exchange.mapping import PRESETS, Asked, MappingFile, TableMapping, read_mapping
-from trackwright.trackers.exchange.truth_frame import with_truth_moved
-from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
-from trackwright.trackers.recordings.rig_file import RIG_FILE
+from trackwright.trackers.core.errors import UnusableInput, listed, near, require
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.core.user_file import fault_of, from_file, split_name
+from trackwright.trackers.exchange.expressions import UNITS, columns_of, parsed
+from trackwright.trackers.exchange.mapping import ORIGIN, Source, TableMapping, read_mapping
+from trackwright.trackers.exchange.text_tables import Reading, read_rows
+from trackwright.trackers.exchange.trajectories import read_tum
+from trackwright.trackers.exchange.truth_frame import moved_truth
+from trackwright.trackers.recordings.atomic import beside
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
+from trackwright.trackers.recordings.tables import SUFFIXES, TableFile, first_row, unwrapped_times
+
+FORMATS = {"csv": (*SUFFIXES, ".tsv"), "json": (".jsonl", ".ndjson", ".json"), "tum": (".tum",),
+           "ros": (".bag", ".mcap", ".db3")}  # fmt: skip
+"""Endings of files by the name of their format."""
 
 
-@dataclass(frozen=True)
-class Import:
-    """What is imported from `source` into the recording folder `out`, with the options of `trackwright import`.
+def format_of(path: Path) -> str:
+    """The name of a file's format, by its ending or else its first line."""
+    if path.is_dir():
+        return "ros"
+    named, text = (n for n, endings in FORMATS.items() if path.name.lower().endswith(endings)), b""
+    with suppress(OSError):  # the reader says why
+        text = file_bytes(path, 20_000)
+    first = re.sub(r"(?m)^\s*(#.*)?$\n?", "", text.decode("utf-8-sig", errors="replace"))
+    is_tum = re.match(r"[^,;\s]+([ \t]+[^,;\s]+){7}[ \t\r]*(\n|$)", first)
+    is_json = re.match(r"[^{\n]*\{.*\}\s*(\n|$)", first)
+    return next(named, "tum" if is_tum else "json" if is_json else "csv")
 
-    `given`: one table, which was `named` or not; `say` gets each notice.
-    """
 
-    source: Path
-    out: Path
-    given: TableMapping
-    named: bool = True
-    mapping: Path | None = None
-    format: str | None = None
-    rig: Path | None = None
-    origin: str | None = None
-    transform: str | None = None
-    align_truth: Sequence[str] | None = None
-    interval: float | None = None
-    skip_bad_lines: bool = False
-    messages: tuple[Path, ...] = ()
-    replace: bool = False
-    say: Callable[[str], None] = lambda line: None
+def read_source(path: Path, name: str, mappings: Sequence[TableMapping], shared: Mapping[str, Any] = {}) -> Source:
+    """The tables of a source in the format of this name, or a user's own; raises UnusableInput with file and line."""
+    if name not in FORMATS:
+        frames = _own_frames(path, name)
+        return _of_frames(frames, dict.fromkeys(frames, shared.get("columns", {})), shared.get("tag"), f"{name}: ")
+    if name == "ros":
+        from trackwright.trackers.exchange.ros_reader import read_bag
 
-    def run(self) -> tuple[Mapping[str, pl.DataFrame], RecordingFolder]:
-        """The tables that were imported, and the recording that was written; raises UnusableInput."""
-        source, mapping, out = self.source, self.mapping, self.out
-        preset = MappingFile() if mapping is None else read_mapping(mapping)
-        name = self.format or ("csv" if any(one.file for one in preset.tables) else format_of(source))
-        asked = [one for one in preset.tables if (one.topic is not None) == (name == "ros")] or preset.tables
-        if left := [one.table for one in preset.tables if one not in asked]:
-            kind = "other files" if name == "ros" else "bags"
-            self.say(f"notice: {mapping}: its entries for {kind} are skipped ({', '.join(left)})")
-        self.say(f"{source}: read as {name}" + ("" if self.format else "; another format: --format"))
-        mappings, there = self._mappings(has_tables(name), asked), (out / RIG_FILE).is_file()
-        if self.origin == "start" and there:
-            words = "expected their origin, as its first import printed it: --origin SECONDS, or none if it had none"
-            raise UnusableInput(f"--origin start: {out} has tables already; {words}")
-        geometry, anchors, lines = read_geometry(self.rig, out, preset, self.given)
+        return read_bag(path, mappings)
+    source = Source()
+    for mapping in mappings:
+        file, notices = (read_tum(path), []) if name == "tum" else read_rows(path, mapping, name == "json")
+        source.notices += [line for line in notices if line not in source.notices]
+        if len(file.frame):  # a log may have lines of some of the tables alone
+            source.read(file, mapping)
+    if not source.tables:
+        raise UnusableInput(f"{path}: no line has values; expected JSON objects, or lines that fit the mapping")
+    return source
+
+
+def _own_frames(path: Path, name: str) -> Mapping[str, Any]:
+    """The frames by table that a function of the user, FILE.py:NAME, makes of a source; raises UnusableInput."""
+    if not split_name(name)[0]:
+        raise UnusableInput(f"--format {name}: expected {', '.join(FORMATS)} or FILE.py:NAME{near(name, FORMATS)}")
+    function: Callable[[Path], Any] = from_file(name, "format", "function", lambda x: isinstance(x, FunctionType))
+    try:
+        frames = function(path)
+    except UnusableInput:
+        raise
+    except Exception as error:
+        fault = fault_of(error, Path(split_name(name)[0]))
+        raise UnusableInput(f"{path}: {name} fails ({fault}); correct either") from error
+    if not isinstance(frames, Mapping) or not frames:
+        raise UnusableInput(f"{name}: gave {type(frames).__name__} of {path}; expected tables by name, one at least")
+    return frames
+
+
+def _of_frames(
+    frames: Mapping[str, Any], columns: Mapping[str, Mapping[str, str]], tag: str | None, where: str
+) -> Source:
+    """The tables of pandas or polars frames by expressions of each table."""
+    source = Source()
+    for table, frame in frames.items():
         try:
-            imported = read_source(source, name, Asked(mappings, self.interval, self.skip_bad_lines, self.messages))
+            mapping = TableMapping(table=table, columns=columns.get(table, {}), tag=tag)
+            source.read(TableFile(Path(f"{where}{table}"), _polars(frame, table)), mapping)
         except UnusableInput as problem:
-            text, add, _ = str(problem).partition("; add --columns")
-            if mapping is None or not add:
-                raise
-            raise UnusableInput(f"{text}; another mapping? presets: {', '.join(sorted(PRESETS))}") from None
-        tables = imported.tables
-        if self.origin is not None:
-            begin = origin_of(self.origin, tables)
-            tables = since(tables, begin)
-            lines = [f"t_s = 0 is {moment(begin)} of {source}; give further tables the same --origin {begin!r}", *lines]
-        # Recordings of one installation share its rig, but not their name.
-        title = None if there else out.resolve().name
-        folder = assembled(title, geometry, tables, anchors or imported.anchors, preset)
-        lines = [*imported.notices, *lines]
-        if self.transform is not None or self.align_truth is not None:
-            recording = read_recording(out) if there else folder
-            folder, said = with_truth_moved(folder, recording, self.transform, bool(self.align_truth))
-            lines += said
-        written = save(folder, out, imported, self.replace)
-        for line in (*lines, *(f"{out}: {line}" for line in written.notices)):
-            self.say(f"notice: {line}")
-        return tables, written
+            said = str(problem)
+            raise UnusableInput(said if said.startswith(where) else f"{where}{said}") from None
+    return source
 
-    def _mappings(self, own_tables: bool, tables: Sequence[TableMapping]) -> list[TableMapping]:
-        """The mappings of the tables of the source: the one `given`, or the `tables` of the file of --mapping."""
-        given = self.given
-        if tables:
-            if own_tables:
-                raise UnusableInput("--mapping: a file of this format has its tables; leave it out")
-            if self.named or given != TableMapping(table="ranges", tag=given.tag):
-                raise UnusableInput(
-                    "--mapping and --table, --columns, --topic or the form of a text; give one or the other"
-                )
-            return [m if m.tag else dataclasses.replace(m, tag=given.tag) for m in tables]
-        if own_tables and (self.named or given.topic is not None):
-            raise UnusableInput(f"{self.source}: a file of this format has its tables; leave --table and --topic out")
-        if given.columns and not (self.named or own_tables):
-            raise UnusableInput("--columns without --table; expected --table ranges, fixes, truth or another table")
-        return [given] if self.named or own_tables else []
+
+def _polars(frame: Any, table: str) -> pl.DataFrame:
+    if isinstance(frame, pl.LazyFrame | pl.DataFrame):
+        return frame.lazy().collect()
+    if type(frame).__module__.partition(".")[0] != "pandas":
+        raise UnusableInput(f"{table}: found {type(frame).__name__}; expected a pandas or polars frame")
+    # An index that is not the row number holds values, often the times.
+    frame = frame if type(frame.index).__name__ == "RangeIndex" else frame.reset_index()
+    plain = {str(name): column.astype(object).where(column.notna(), None).tolist() for name, column in frame.items()}
+    return pl.DataFrame(plain, strict=False)
+
+
+def import_frames(
+    frames: Mapping[str, Any],
+    rig: Rig | Path | str | None = None,
+    columns: Mapping[str, Sequence[str]] | None = None,
+    tag: str | None = None,
+    name: str | None = None,
+) -> RecordingFolder:
+    """A recording from pandas or polars frames by table, checked as if it were read from a folder.
+
+    `rig`: the geometry, or the path of a rig.toml. `columns`: by table, expressions such as `t_s=stamp in ms`
+    (docs/import.md); columns that have the name of their target need none. `tag`: the id of all rows, where no column
+    has it. `name`: of the recording, by default that of the rig. Raises UnusableInput.
+    """
+    require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
+    expected = "expressions by table, as {'ranges': ['range_m=distance in mm']}"
+    require(isinstance(columns, Mapping | None), "import_frames: columns", columns, expected)
+    source = _of_frames(frames, {table: columns_of(e) for table, e in (columns or {}).items()}, tag, "frame ")
+    rig = read_rig(Path(rig))[0] if isinstance(rig, (str, Path)) else rig
+    with tempfile.TemporaryDirectory() as scratch:
+        read = _written(_assembled(name, rig, source), Path(scratch) / "recording", source)
+    return replace(read, path=None, notices=(*source.notices, *read.notices))
+
+
+def _assembled(name: str | None, rig: Rig | None, source: Source) -> RecordingFolder:
+    """The recording of the tables of a source, with a rig; raises UnusableInput."""
+    if rig is None and "ranges" in source.tables:
+        fix = "give a rig.toml or a table of them by --rig (in Python: rig=), a rig.toml without anchors for a survey"
+        raise UnusableInput(f"ranges: no positions of anchors; {fix}")
+    rig = rig or Rig("imported")
+    return RecordingFolder(name or rig.name, None, replace(rig, name=name or rig.name), source.tables)
+
+
+def _saved(folder: RecordingFolder, out: Path, source: Source, replaced: bool) -> RecordingFolder:
+    """Writes the recording, or adds its tables to that in `out`; returns it as read back, with new notices.
+
+    Rows are checked in the order of the source and written by time; nothing is written of what is refused.
+    """
+    there = _read(out) if (out / RIG_FILE).is_file() else None
+    if there is None and out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UnusableInput(f"--out {out}: exists; expected a new folder, or a recording to add tables to")
+    known = {} if there is None else dict(there.tables)
+    if not replaced and (twice := [name for name in folder.tables if name in known]):
+        raise UnusableInput(f"--out {out}: has the table {twice[0]} already; expected another; --replace replaces it")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with beside(out, Path.mkdir) as scratch:
+            read = _written(replace(folder, tables=known | dict(folder.tables)), scratch / "recording", source)
+            out.mkdir(exist_ok=True)
+            for path in (out / f"{name}{suffix}" for name in folder.tables for suffix in SUFFIXES):
+                path.unlink(missing_ok=True)
+            same = there is not None and rig_text(folder.rig) == rig_text(there.rig)
+            for file in (*(f"{name}.parquet" for name in folder.tables), *([] if same else [RIG_FILE])):
+                (scratch / "recording" / file).replace(out / file)
+    except OSError as error:
+        raise UnusableInput(f"--out {out}: cannot be written ({error.strerror}); check its permissions") from error
+    before = () if there is None else there.notices
+    return replace(read, path=out, notices=tuple(line for line in read.notices if line not in before))
+
+
+def _written(folder: RecordingFolder, path: Path, source: Source) -> RecordingFolder:
+    """The recording, written to `path` and read back; a refusal names the place in the source."""
+    tables = {name: table.drop(ORIGIN, strict=False) for name, table in folder.tables.items()}
+    write_recording(replace(folder, tables=tables), path)
+
+    def original(match: re.Match[str]) -> str:
+        return source.location(match[1], int(match[2]) - 1, match[3]) if match[1] in source.tables else match[0]
+
+    try:
+        read = _read(path)
+    except UnusableInput as problem:
+        cell = rf"{re.escape(str(path))}/(\w+)\.parquet: row (\d+), column (\w+)"
+        raise UnusableInput(re.sub(cell, original, str(problem)).replace(str(path), "imported")) from problem
+    for name, table in tables.items():
+        if not table["t_s"].is_sorted():
+            times, _ = unwrapped_times(table["t_s"].to_numpy())
+            table.with_columns(t_s=times).sort("t_s", maintain_order=True).write_parquet(path / f"{name}.parquet")
+    return read
+
+
+def _read(path: Path) -> RecordingFolder:
+    """The recording; its ranges may be to anchors that are to be surveyed where its rig has none."""
+    return read_recording(path, placed=bool(read_rig(path / RIG_FILE)[0].anchors))
+
+
+def _geometry(path: Path | None, out: Path, reading: Reading) -> tuple[Rig | None, list[str]]:
+    """The rig in `out`, or where that is empty, one with the rig or the anchors in the file `path`; and notices."""
+    there = read_rig(out / RIG_FILE)[0] if (out / RIG_FILE).is_file() else None
+    if path is None:
+        return there, []
+    if there is not None and (there.anchors or there.stations):
+        raise UnusableInput(f"--rig {path}: {out} has a rig.toml already; expected one; leave --rig out")
+    rig, notices = (read_rig(path)[0], []) if path.suffix == ".toml" else _read_anchors(path, reading)
+    return rig if there is None else replace(rig, name=there.name, tags=dict(there.tags) | dict(rig.tags)), notices
+
+
+def _read_anchors(path: Path, reading: Reading) -> tuple[Rig, list[str]]:
+    """The anchors in a table with ids and columns as `X`, `x_mm`, `x [mm]`, `X (m)`; and notices."""
+    file, notices = read_rows(path, reading)
+    matches = {n: re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", n.strip().lower()) for n in file.frame.columns}
+    axes = {m[1]: f"`{n}` in {m[2] or 'm'}" for n, m in matches.items() if m and (m[2] or "m") in UNITS["m"]}
+    others = [name for name, match in matches.items() if not match]
+    ids = [name for name in others if name.lower() in ("anchor", "anchor_id", "id", "name")] or others
+    if {*axes} != {*"xyz"} or not ids or (len(ids) > 1 and ids == others):
+        found, expected = listed(map(repr, matches), 12), "anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
+        raise UnusableInput(f"--rig {path}: columns {found}; expected {expected}")
+    places = [parsed("x_m", axes[axis], file).numbers(file).alias(axis) for axis in "xyz"]
+    rows = pl.DataFrame([file.frame[ids[0]].cast(pl.String).str.strip_chars().alias("id"), *places])
+    usable = (pl.col("id") != "") & pl.col("id").is_first_distinct() & pl.all_horizontal(pl.all().is_not_null())
+    if not (fine := rows.select(usable).to_series()).all():
+        row = first_row(~fine)
+        raise UnusableInput(f"--rig {file.location(row, ids[0])}: {rows.row(row)}; expected each id once, with x, y, z")
+    units = f"ids are in column {ids[0]}, positions in {', '.join(axes[axis] for axis in 'xyz')}"
+    anchors = {key: np.array(place) for key, *place in rows.rows()}
+    return Rig(path.stem, anchors), [f"{path}: {line}" for line in (*notices, units)]
+
+
+def import_file(
+    source: Path,
+    out: Path,
+    given: TableMapping | None = None,
+    shared: Mapping[str, Any] = {},
+    mapping: Path | None = None,
+    format: str | None = None,
+    rig: Path | None = None,
+    transform: str | None = None,
+    align_truth: bool = False,
+    replaced: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> tuple[Mapping[str, pl.DataFrame], RecordingFolder]:
+    """The tables imported from a source into the folder `out` as by `trackwright import`, and the recording there.
+
+    `given`: the table asked for, or `mapping`, a file of some, to which `shared` adds `columns` and `tag`. `say` gets
+    notices. Raises UnusableInput.
+    """
+    name = format or format_of(source)
+    say(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
+    mappings = [given] if given is not None else [] if mapping is None else read_mapping(mapping)
+    if bool(mappings) != (name in FORMATS) or (given and mapping):
+        raise UnusableInput(f"{source}: expected either --table or --mapping, and none with --format FILE.py:NAME")
+    if given is None:
+        tag, columns = shared.get("tag"), shared.get("columns", {})
+        mappings = [replace(m, tag=m.tag or tag, columns={**m.columns, **columns}) for m in mappings]
+    known, lines = _geometry(rig, out, given or Reading())
+    imported = read_source(source, name, mappings, shared)
+    # Recordings of one installation share its rig, but not their name.
+    there = (out / RIG_FILE).is_file()
+    folder, lines = _assembled(None if there else out.resolve().name, known, imported), [*imported.notices, *lines]
+    if transform is not None or align_truth:
+        if "truth" not in folder.tables:
+            raise UnusableInput("--transform and --align-truth move a truth; expected --table truth")
+        beside = read_recording(out) if there else folder
+        truth, said = moved_truth(folder.tables["truth"], beside, transform)
+        folder = replace(folder, tables=dict(folder.tables) | {"truth": truth})
+        lines.append(said)
+    written = _saved(folder, out, imported, replaced)
+    for line in (*lines, *(f"{out}: {line}" for line in written.notices)):
+        say(f"notice: {line}")
+    return imported.tables, written

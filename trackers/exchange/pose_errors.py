@@ -16,19 +16,15 @@ from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput, listed, require
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate
-from trackwright.trackers.exchange.expressions import numbers_of
-from trackwright.trackers.exchange.mapping import refuse_lost_digits
 from trackwright.trackers.exchange.trajectories import Poses, Similarity, poses_of, read_trajectory
 from trackwright.trackers.recordings.checks.rules import check_units
 from trackwright.trackers.recordings.folder import RecordingFolder, Selection, read_recordings
-from trackwright.trackers.recordings.tables import SUFFIXES, check_stds, read_table_file
 from trackwright.trackers.recordings.tracks_table import is_bearing, read_tracks
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 Statistics = dict[str, float]
 ALIKE = 0.3  # the least correlation of aligned positions with the true ones from which an alignment is taken
 STEPS = ("1m", "1s")
-_TEXT = ("recording", "tag", "station", "status", "wrapped")
 
 
 def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estimate") -> Similarity:
@@ -90,18 +86,12 @@ def step_of(text: str) -> tuple[str, float, str]:
     return f"{float(match[1]):g}{match[2]}", float(match[1]), match[2]
 
 
-def _pairs(poses: Poses, size: float, unit: str, all_pairs: bool) -> tuple[np.ndarray, np.ndarray]:
-    """First and last rows of the relative errors: each from the end of the one before, or from every pose."""
+def _pairs(poses: Poses, size: float, unit: str) -> tuple[np.ndarray, np.ndarray]:
+    """First and last rows of the relative errors, each from the end of the one before."""
     metres, seconds = np.linalg.norm(np.diff(poses.positions, axis=0), axis=1), np.diff(poses.times)
-    lengths = {"m": metres, "s": seconds, "f": np.ones(len(seconds))}[unit]
-    if all_pairs:
-        along = np.append(0.0, np.cumsum(lengths))
-        last, apart = _nearest(along, along[:-1] + size)
-        first = np.flatnonzero(apart <= (0.0 if unit == "f" else size * 0.1))
-        return first, last[first]
     # Ten times 0.1 s, rounded, are a second.
     ends, since, wanted = [0], 0.0, size * (1 - 1e-9) if unit == "s" else size
-    for row, length in enumerate(lengths.tolist(), 1):
+    for row, length in enumerate({"m": metres, "s": seconds, "f": np.ones_like(seconds)}[unit].tolist(), 1):
         since += length
         if since >= wanted:
             ends.append(row)
@@ -127,8 +117,8 @@ class TrajectoryErrors:
     pairs: int
     possible: int
     planar: bool
-    time_offset: float
-    tolerance: float
+    time_offset_s: float
+    time_tolerance_s: float
     similarity: Similarity
     aligned: pl.DataFrame
     ape_m: Statistics
@@ -140,11 +130,8 @@ class TrajectoryErrors:
 
     def to_dict(self) -> dict[str, Any]:
         """All of it in plain numbers, for JSON; the angles in rad."""
-        names = ("recording", "tag", "pairs", "possible", "planar", "ape_m", "ape_rad", "rpe_m", "rpe_rad")
-        s = self.similarity
-        moved = {"rotation": s.rotation, "translation_m": s.translation, "scale": s.scale}
-        times = {"time_offset_s": self.time_offset, "time_tolerance_s": self.tolerance, "alignment": moved}
-        return times | {name: getattr(self, name) for name in names}
+        s, plain = self.similarity, {k: v for k, v in vars(self).items() if k not in ("similarity", "aligned")}
+        return plain | {"alignment": {"rotation": s.rotation, "translation_m": s.translation, "scale": s.scale}}
 
 
 def compare_trajectories(
@@ -154,15 +141,14 @@ def compare_trajectories(
     time_offset: float = 0.0,
     tolerance: float = 0.01,
     rpe: Sequence[str] = STEPS,
-    all_pairs: bool = False,
     *,
     name: str = "estimate",
 ) -> TrajectoryErrors:
     """The errors of an estimated trajectory, as evo defines them: of poses at most `tolerance`, s, apart.
 
     Tables of one tag with t_s, x_m, y_m and, where known, z_m, qw … qz. `align`: see `alignment`. `time_offset`: s,
-    added to the times of the estimate. `rpe`: steps as 1m, 1s or 10f (rows). `all_pairs`: from every pose, over steps
-    that fit to a tenth. Relative errors are of displacements in the frame of the truth, with attitudes in the body's.
+    added to the times of the estimate. `rpe`: steps as 1m, 1s or 10f (rows). Relative errors are of displacements in
+    the frame of the truth, with attitudes in the body's.
     Raises UnusableInput where nothing fits.
     """
     steps = [step_of(text) for text in rpe]
@@ -185,7 +171,7 @@ def compare_trajectories(
     turns = [one.attitudes for one in pair if one.attitudes is not None]
     rpe_m, rpe_rad = dict[str, Statistics](), dict[str, Statistics]()
     for step, size, unit in steps:
-        first, last = _pairs(pair[0], size, unit, all_pairs)
+        first, last = _pairs(pair[0], size, unit)
         if not len(first):
             continue
         moved = [one.positions[last] - one.positions[first] for one in pair]
@@ -203,130 +189,84 @@ def compare_trajectories(
 
 
 def pooled_names(steps: Iterable[str]) -> list[str]:
-    """The names that `pooled` may have with relative errors over these steps."""
+    """The names of pooled errors with relative ones over these steps."""
     return ["ape_m", *(f"rpe_{step_of(step)[0]}_m" for step in steps)]
 
 
-def pooled(errors: Sequence[TrajectoryErrors]) -> dict[str, float]:
+def _pooled(errors: Sequence[TrajectoryErrors]) -> dict[str, float]:
     """Root mean squares over all tracks, for `--fail-if`: ape_m, rpe_STEP_m."""
     rows = [("ape_m", e.ape_m) for e in errors] + [(f"rpe_{s}_m", x) for e in errors for s, x in e.rpe_m.items()]
     by_name = {name: [x for n, x in rows if n == name] for name, _ in rows}
     return {name: math.sqrt(sum(x["sse"] for x in all_) / sum(x["n"] for x in all_)) for name, all_ in by_name.items()}
 
 
-def read_estimates(path: Path) -> tuple[pl.DataFrame, list[str]]:
-    """The estimates in a TUM file, or a table with columns that `track` writes, and notices; or UnusableInput."""
-    if not path.name.lower().endswith(SUFFIXES):
-        return read_trajectory(path)
-    file = read_table_file(path)
-    columns = file.frame.columns
-    stds = {"std_x_m", "std_y_m"} if {"std_x_m", "std_y_m"} & {*columns} else set()
-    if missing := sorted({"t_s", "x_m", "y_m", *stds} - {*columns}):
-        expected = "expected t_s, x_m, y_m and optionally z_m, std_x_m with std_y_m …, qw … qz"
-        fix = "bring it into this form by `trackwright import`"
-        raise UnusableInput(f"{path}: no column {', '.join(missing)}; found {listed(columns, 12)}; {expected}; {fix}")
-    frame = file.frame.select(
-        pl.col(name).cast(pl.String) if name in _TEXT else numbers_of(file, name) for name in columns
-    )
-    # The standard deviation of a known height is 0.
-    reported = frame.select(pl.col("^std_.*$").replace(0.0, None))
-    check_stds(file, reported, reported.columns)
-    keys = [name for name in ("recording", "tag", "station") if name in columns]
-    for rows in frame.partition_by(keys) if keys else [frame]:
-        refuse_lost_digits(f"{path}", rows)
-    return frame, []
+def read_poses(
+    source: Path, truth: Sequence[Path], part: Selection, check: bool, say: Callable[[str], None]
+) -> tuple[pl.DataFrame, list[RecordingFolder]]:
+    """Estimates of a file or a folder of `track`, and the recordings with their truths.
 
-
-def _truths(paths: Sequence[Path], tag: str, say: Callable[[str], None]) -> list[RecordingFolder]:
-    """The recordings, or a trajectory file as the truth of one tag; raises UnusableInput without a truth."""
-    expected = "expected recording folders with truth, or one trajectory file: --truth FOLDER|FILE"
-    if not paths or (len(paths) > 1 and not all(path.is_dir() for path in paths)):
-        raise UnusableInput(f"--truth: found {listed(paths) or 'none'}; {expected}")
-    if missing := [path for path in paths if not path.exists()]:
-        raise UnusableInput(f"--truth {missing[0]}: does not exist; {expected}")
-    if paths[0].is_dir():
-        folders = read_recordings(paths)
+    `truth`: recordings, or a trajectory file of the one tag that the estimates follow. `check`: the units of a file.
+    `say` gets each notice. Raises UnusableInput.
+    """
+    if not truth or not (all(path.is_dir() for path in truth) or [path.is_file() for path in truth] == [True]):
+        expected = "expected recording folders, or one trajectory file, that exist"
+        raise UnusableInput(f"--truth: found {listed(truth) or 'none'}; {expected}")
+    tracks, lines = (read_tracks(source), []) if source.is_dir() else read_trajectory(source)
+    tag = part.tags[0] if len(part.tags) == 1 else None
+    if truth[0].is_dir():
+        folders = read_recordings(truth)
     else:
-        table, lines = read_estimates(paths[0])
-        table = table if "tag" in table.columns else table.with_columns(tag=pl.lit(tag))
-        names = [n for n in ("t_s", "tag", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz") if n in table.columns]
-        name = paths[0].stem
-        folders = [RecordingFolder(name, paths[0], Rig(name), {"truth": table.select(names)}, tuple(lines))]
-    for path, folder in zip(paths, folders, strict=True):
-        for line in folder.notices:
-            say(f"{path}: {line}")
-    if not any("truth" in folder.tables for folder in folders):
-        raise UnusableInput(f"{paths[0]}: no truth table; {expected}")
-    return folders
-
-
-def _assigned(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame], tag: str | None, path: Path) -> pl.DataFrame:
-    """The estimates with `recording` and `tag`, those of the truth where the file at `path` names none."""
-    tags = sorted({str(t) for truth in truths.values() for t in truth["tag"].unique()})
-    for name, known, option in (("recording", [*truths], "--truth"), ("tag", tags, "--tag")):
+        # The truth in a file has the names of the one track that it belongs to.
+        keys = [name for name in ("recording", "tag") if name in tracks.columns]
+        one = part.of_estimates(tracks).select(keys).unique().rows(named=True) if "tag" in keys else [{}]
+        names = {"recording": truth[0].stem, "tag": tag or "1"} | (one[0] if len(one) == 1 else {})
+        table, notices = read_trajectory(truth[0])
+        table = table if "tag" in table.columns else table.with_columns(tag=pl.lit(names["tag"]))
+        table = table.select("^(t_s|tag|[xyz]_m|q[wxyz])$")
+        rig = Rig(names["recording"])
+        folders = [RecordingFolder(rig.name, truth[0], rig, {"truth": table}, tuple(notices))]
+    truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
+    if not truths:
+        raise UnusableInput(f"{truth[0]}: no truth table; expected a recording with truth, or a trajectory file")
+    tags = sorted({str(one) for table in truths.values() for one in table["tag"].unique()})
+    for name, known, option in (("recording", [*truths], "--truth"), ("tag", [tag] * (tag in tags) or tags, "--tag")):
         if name not in tracks.columns:
-            given = known if tag is None or name == "recording" else [one for one in known if one == tag]
-            if len(given) != 1:
-                found = f"{path}: names no {name}; the truth has {listed(known)}"
-                raise UnusableInput(f"{found}; give one of these that it follows by {option}")
-            tracks = tracks.with_columns(pl.lit(given[0]).alias(name))
-    return tracks
+            if len(known) != 1:
+                fix = f"give one of these that it follows by {option}"
+                raise UnusableInput(f"{source}: names no {name}; the truth has {listed(known)}; {fix}")
+            tracks = tracks.with_columns(pl.lit(known[0]).alias(name))
+    tracks = part.of_estimates(tracks)
+    # Beside a truth in a file there is no geometry by which estimates may be large.
+    for folder in (folder for folder in folders if folder.rig.places() and check and not source.is_dir()):
+        own = {"fixes": tracks.filter(pl.col("recording") == folder.name)}
+        lines += [result.message for result in check_units(folder.rig, own)]
+    said = [(path, line) for path, folder in zip(truth, folders, strict=True) for line in folder.notices]
+    for path, line in (*said, *((source, line) for line in lines)):
+        say(f"{path}: {line}")
+    return tracks, folders
 
 
-@dataclass(frozen=True)
-class PoseComparison:
-    """Estimates, of a file or a folder of `track`, and the recordings with their truths."""
+def compare_tracks(
+    tracks: pl.DataFrame, folders: Sequence[RecordingFolder], *options: Any
+) -> tuple[pl.DataFrame, list[TrajectoryErrors], Evaluation]:
+    """The tracks as they are compared, the errors of each that has a truth, and the metrics with pooled errors.
 
-    tracks: pl.DataFrame
-    folders: list[RecordingFolder]
-
-    @classmethod
-    def read(
-        cls, source: Path, truth: Sequence[Path], part: Selection, check: bool, say: Callable[[str], None]
-    ) -> PoseComparison:
-        """Reads them; `truth`: recordings, or a trajectory file of the one tag that the estimates follow. `check`: the
-        units of a file. `say` gets each notice. Raises UnusableInput."""
-        name, tag = None, next(iter(part.tags), None)
-        if source.is_dir():
-            tracks = part.of_estimates(read_tracks(source))
-            followed = tracks.select("recording", "tag").unique()
-            name, tag = followed.row(0) if len(followed) == 1 else (None, None)
-        elif len(part.tags) > 1:
-            raise UnusableInput(f"--tag {' '.join(part.tags)}: a file of estimates follows one tag; expected one")
-        folders = _truths(truth, tag or "1", say)
-        if name is not None and not truth[0].is_dir():
-            folders = [replace(folders[0], name=name)]
-        if not source.is_dir():
-            read, lines = read_estimates(source)
-            truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
-            tracks = part.of_estimates(_assigned(read, truths, tag, source))
-            # Beside a truth in a file there is no geometry by which estimates may be large.
-            for folder in (folder for folder in folders if folder.rig.places() and check):
-                own = {"fixes": tracks.filter(pl.col("recording") == folder.name)}
-                lines = [*lines, *(result.message for result in check_units(folder.rig, own))]
-            for line in lines:
-                say(f"{source}: {line}")
-        return cls(tracks, folders)
-
-    def compared(self, *options: Any) -> tuple[pl.DataFrame, list[TrajectoryErrors], Evaluation]:
-        """The tracks as they are compared, the errors of each that has a truth, and the metrics with pooled errors.
-
-        `options`: those of `compare_trajectories`. Raises UnusableInput.
-        """
-        if is_bearing(self.tracks):
-            raise UnusableInput("the tracks hold bearings; expected positions; leave the trajectory options out")
-        none, compared = pl.DataFrame(schema={"tag": pl.String}), list[TrajectoryErrors]()
-        truths = {folder.name: folder.tables.get("truth", none) for folder in self.folders}
-        by_track = self.tracks.partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
-        for (recording, tag), rows in by_track.items():
-            truth = truths.get(str(recording), none).filter(pl.col("tag").cast(pl.String) == str(tag))
-            if not truth.is_empty():
-                errors = compare_trajectories(rows, truth, *options, name=f"track of tag {tag} in '{recording}'")
-                compared.append(replace(errors, recording=str(recording), tag=str(tag)))
-        if not compared:
-            known = [f"{n}: {listed(sorted(t['tag'].unique().cast(pl.String)))}" for n, t in truths.items()]
-            found = f"tracks of {listed(f'{name}, tag {tag}' for name, tag in by_track)}; truth of {listed(known)}"
-            raise UnusableInput(f"no track has a truth: {found}; give the --truth of the same recording and tag")
-        moved = pl.concat([errors.aligned for errors in compared])
-        evaluation = evaluate(moved, self.folders)
-        return moved, compared, replace(evaluation, overall=evaluation.overall | pooled(compared))
+    `options`: those of `compare_trajectories`. Raises UnusableInput.
+    """
+    if is_bearing(tracks):
+        raise UnusableInput("the tracks hold bearings; expected positions; leave the trajectory options out")
+    none, compared = pl.DataFrame(schema={"tag": pl.String}), list[TrajectoryErrors]()
+    truths = {folder.name: folder.tables.get("truth", none) for folder in folders}
+    by_track = tracks.partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
+    for (recording, tag), rows in by_track.items():
+        truth = truths.get(str(recording), none).filter(pl.col("tag").cast(pl.String) == str(tag))
+        if not truth.is_empty():
+            errors = compare_trajectories(rows, truth, *options, name=f"track of tag {tag} in '{recording}'")
+            compared.append(replace(errors, recording=str(recording), tag=str(tag)))
+    if not compared:
+        known = [f"{n}: {listed(sorted(t['tag'].unique().cast(pl.String)))}" for n, t in truths.items()]
+        found = f"tracks of {listed(f'{name}, tag {tag}' for name, tag in by_track)}; truth of {listed(known)}"
+        raise UnusableInput(f"no track has a truth: {found}; give the --truth of the same recording and tag")
+    moved = pl.concat([errors.aligned for errors in compared])
+    evaluation = evaluate(moved, folders)
+    return moved, compared, replace(evaluation, overall=evaluation.overall | _pooled(compared))

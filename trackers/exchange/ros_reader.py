@@ -3,36 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from importlib import import_module
 from itertools import count
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.exchange.expressions import sensor_of
-from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, read_mapping, spelled_out
-from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.exchange.mapping import Source, TableMapping, read_mapping, spelled_out
 from trackwright.trackers.recordings.kinds import layout
 from trackwright.trackers.recordings.tables import TableFile
 
 MESSAGES = Path(__file__).parent / "presets" / "_messages.toml"  # standard ones, by their type in place of a topic
-RECEIVED = "received"  # field of every message: the time, s, at which the bag received it
+LARGEST_BAG = 2**35  # bytes; only the messages of the topics asked for are held
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-
-
-def rosbags_module(name: str, what: str) -> ModuleType:
-    """The module `rosbags.NAME`; raises UnusableInput, which names the extra, where the package is missing."""
-    try:
-        return import_module(f"rosbags.{name}")
-    except ImportError:
-        fix = "install the extra: pip install 'trackwright[ros]'"
-        raise UnusableInput(f"{what}: ROS bags need the package rosbags; {fix}") from None
 
 
 @contextmanager
@@ -47,28 +35,27 @@ def _told(what: str, fix: str = "record or copy it again") -> Iterator[None]:
         raise UnusableInput(f"{what} ({why}); {fix}") from error
 
 
-def read_source(path: Path, name: str, asked: Asked) -> Source:
+def read_bag(path: Path, mappings: Sequence[TableMapping]) -> Source:
     """The tables that the mappings make of a bag; raises UnusableInput with the topic and the number of the message."""
-    anyreader, typesys = (rosbags_module(name, str(path)) for name in ("highlevel", "typesys"))
-    store, source = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE), Source()
-    for file in asked.definitions:
-        with _told(f"{file}: is no message definition", "expected PACKAGE/msg/NAME.msg"):
-            kind = "/".join([*file.parts[-3:-1], file.stem])
-            store.register(typesys.get_types_from_msg(file_bytes(file).decode("utf-8"), kind))
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        fix = "install the extra: pip install 'trackwright[ros]'"
+        raise UnusableInput(f"{path}: ROS bags need the package rosbags; {fix}") from None
+    source = Source()
     with ExitStack() as stack:
         with _told(f"{path}: cannot be read as a ROS bag"):
-            for entry in path.iterdir() if path.is_dir() else [path]:
-                if not entry.is_dir():
-                    file_bytes(entry, 0)  # raises for a pipe or device
-            reader = stack.enter_context(anyreader.AnyReader([path], default_typestore=store))
+            files = [entry for entry in path.iterdir() if not entry.is_dir()] if path.is_dir() else [path]
+            if sum(file.stat().st_size for file in files) > LARGEST_BAG:
+                raise UnusableInput(f"{path}: holds more than {LARGEST_BAG / 1e9:.1f} GB; copy the topics needed")
+            reader = stack.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
         known = sorted(reader.connections, key=lambda c: c.topic)
-        topics = f"topics: {listed((f'{c.topic} ({c.msgtype}, {c.msgcount})' for c in known), 20)}"
-        if not asked.mappings:
-            raise UnusableInput(f"{path}: no table given; expected --table, or --mapping FILE.toml; {topics}")
-        for mapping in asked.mappings:
+        for mapping in mappings:
             connections = [c for c in known if c.topic == mapping.topic]
             if not connections:
-                raise UnusableInput(f"{path}: no --topic {mapping.topic or ''} for {mapping.table}; {topics}")
+                topics = listed((f"{c.topic} ({c.msgtype}, {c.msgcount})" for c in known), 20)
+                raise UnusableInput(f"{path}: no --topic {mapping.topic or ''} for {mapping.table}; topics: {topics}")
             source.read(*_columns(reader, path, mapping, connections))
     return source
 
@@ -78,20 +65,19 @@ def _columns(reader: Any, path: Path, mapping: TableMapping, connections: Any) -
     topic, (kind, *others) = f"{path}: topic {mapping.topic}", sorted({c.msgtype for c in connections})
     if others:
         raise UnusableInput(f"{topic} has messages of {listed([kind, *others])}; expected one type")
-    paths = list(_paths(reader.typestore.fielddefs, kind))
-    mapping, fields, wanted = spelled_out(mapping, paths), listed(paths, 24), layout(mapping.table, ())
-    for one in read_mapping(MESSAGES).tables:
+    paths, wanted = list(_paths(reader.typestore.fielddefs, kind)), layout(mapping.table, ())
+    fields, columns = listed(paths, 24), spelled_out(mapping.columns, paths)
+    given = {sensor_of(target)[0] for target in columns}
+    for one in read_mapping(MESSAGES):
         if one.topic == kind and one.table in (mapping.table, "truth" if mapping.table == "fixes" else ""):
-            standard = {"t_s": "header.stamp", **spelled_out(one, paths).columns}
-            given = {sensor_of(target)[0] for target in mapping.columns}
-            left = {
-                t: x for t, x in standard.items() if t not in given and t in ("t_s", *wanted.values, *wanted.optional)
-            }
-            mapping = replace(mapping, columns=left | dict(mapping.columns))
-    if not mapping.sources:
+            standard = {"t_s": "header.stamp", **spelled_out(one.columns, paths)}
+            taken = {"t_s", *wanted.values, *wanted.optional} - given
+            columns = {target: text for target, text in standard.items() if target in taken} | columns
+    mapping = replace(mapping, columns=columns)
+    if not mapping.sources():
         fix = f"map its fields, as --columns 'range_m=FIELD'; fields: {fields}"
         raise UnusableInput(f"{topic} has {kind}, no standard message for {mapping.table}; {fix}")
-    rows: dict[str, list[Any]] = {source: [] for source in sorted(mapping.sources)}
+    rows: dict[str, list[Any]] = {source: [] for source in sorted(mapping.sources())}
     messages = reader.messages(connections=connections)
     for number in count(1):
         with _told(f"{topic}: the bag is broken"):
@@ -99,8 +85,9 @@ def _columns(reader: Any, path: Path, mapping: TableMapping, connections: Any) -
         if record is None:
             break
         (connection, stamp, data), where = record, f"{topic}, message {number}"
-        fix = f"give its definition and those of its parts, as --messages {kind}.msg, or record it again"
-        with _told(f"{where}: is no {kind}, or one that the bag does not define", fix):
+        with _told(
+            f"{where}: is no {kind}, or one that the bag does not define", "convert it to MCAP: ros2 bag convert"
+        ):
             message = reader.deserialize(data, connection.msgtype)
         values = {source: _values(message, source, stamp, where, fields) for source in rows}
         sizes = {len(one) for one in values.values() if isinstance(one, list)}
@@ -115,8 +102,8 @@ def _columns(reader: Any, path: Path, mapping: TableMapping, connections: Any) -
 
 
 def _values(message: Any, source: str, stamp: int, where: str, fields: str) -> Any:
-    """The value of a field, or of all elements in a list; times as seconds."""
-    if source == RECEIVED:
+    """The value of a field, or of all elements in a list; times as seconds; `received`: when the bag received it."""
+    if source == "received":
         return stamp / 1e9
     values = [message]
     try:

@@ -14,20 +14,28 @@ from scipy.spatial.transform import Rotation
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.rows import AXES, covariances
+from trackwright.trackers.evaluation.rows import AXES
 from trackwright.trackers.exchange.expressions import numbers_of
-from trackwright.trackers.exchange.mapping import Asked, Source, refuse_lost_digits
+from trackwright.trackers.exchange.mapping import refuse_lost_digits, without_identities
 from trackwright.trackers.exchange.text_tables import Reading, read_rows
 from trackwright.trackers.recordings.atomic import write_whole
 from trackwright.trackers.recordings.columns import QUATERNION, float_column
-from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.recordings.folder import Selection, read_recording
 from trackwright.trackers.recordings.rig_file import RIG_FILE
-from trackwright.trackers.recordings.tables import TableFile, first_row, restarted_at, unwrapped_times
-from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, read_tracks
+from trackwright.trackers.recordings.tables import (
+    SUFFIXES,
+    TableFile,
+    check_stds,
+    first_row,
+    read_table_file,
+    restarted_at,
+    unwrapped_times,
+)
+from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, read_tracks
 
 TUM = ("t_s", *AXES, *QUATERNION[1:], QUATERNION[0])
 _TUM_WORDS = "8 numbers in each line: time in s, x, y, z in m, quaternion x, y, z, w; other files: `trackwright import`"
-_STDS, _VELOCITY = tuple(f"std_{axis}" for axis in AXES), tuple(f"v{axis}_mps" for axis in "xyz")
+_TEXT = ("recording", "tag", "station", "status", "wrapped")
 
 
 class Poses(NamedTuple):
@@ -56,10 +64,10 @@ def poses_of(table: pl.DataFrame, name: str) -> Poses:
     if rows.is_empty():
         raise UnusableInput(f"{name}: no pose; expected rows with t_s, x_m, y_m and, where known, z_m, qw … qz")
     q = stacked(rows, QUATERNION)
-    given = np.isfinite(q).all() and q.any(axis=1).all()
-    return Poses(
-        float_column(rows, "t_s"), stacked(rows, AXES), Rotation.from_quat(q, scalar_first=True) if given else None
-    )
+    if not q.any(axis=1).all():
+        raise UnusableInput(f"{name}: pose {int(np.argmin(q.any(axis=1))) + 1} has a zero quaternion; leave it out")
+    attitudes = Rotation.from_quat(q, scalar_first=True) if np.isfinite(q).all() else None
+    return Poses(float_column(rows, "t_s"), stacked(rows, AXES), attitudes)
 
 
 def stacked(table: pl.DataFrame, names: Sequence[str]) -> np.ndarray:
@@ -85,77 +93,61 @@ class Similarity:
         return self.scale * positions @ self.rotation.T + self.translation
 
     def table(self, tracks: pl.DataFrame) -> pl.DataFrame:
-        """The image of a table: positions, attitudes, velocities and covariances, where it has them."""
+        """The image of a table of poses; where they move, velocities and covariances are left out."""
+        if self.flat and np.array_equal(self.rotation, np.eye(3)) and not self.translation.any():
+            return tracks
         q = stacked(tracks, QUATERNION)
         known = np.isfinite(q).all(axis=1)
         turned = Rotation.from_matrix(self.rotation) * Rotation.from_quat(q[known], scalar_first=True)
         q[known] = turned.as_quat(canonical=True, scalar_first=True)
-        velocities = replace(self, translation=np.zeros(3)).points(stacked(tracks, _VELOCITY))
-        columns = dict(zip(AXES, self.points(stacked(tracks, AXES)).T, strict=True))
-        columns |= dict(zip((*_VELOCITY, *QUATERNION), (*velocities.T, *q.T), strict=True))
-        if _STDS[0] in tracks.columns:
-            # An unknown variance of a height that is left alone must not reach the other axes.
-            P, F, k = covariances(tracks), self.scale * self.rotation, 2 if self.flat else 3
-            P[:, :k, k:] = F[:k, :k] @ P[:, :k, k:]
-            P[:, k:, :k] = P[:, :k, k:].transpose(0, 2, 1)
-            P[:, :k, :k] = F[:k, :k] @ P[:, :k, :k] @ F[:k, :k].T
-            columns |= {name: np.sqrt(P[:, i, i]) for i, name in enumerate(_STDS)}
-            columns |= {f"cov_{'xyz'[i]}{'xyz'[j]}_m2": P[:, i, j] for i, j in ((0, 1), (0, 2), (1, 2))}
-        kept = {name: values for name, values in columns.items() if name in tracks.columns}
-        return tracks.with_columns(pl.Series(name, values).fill_nan(None) for name, values in kept.items())
+        columns = dict(zip((*AXES, *QUATERNION), (*self.points(stacked(tracks, AXES)).T, *q.T), strict=True))
+        kept = tracks.select(pl.exclude("^(std_.*|cov_.*|v[xyz]_mps|heading_rad)$"))
+        return kept.with_columns(pl.Series(n, x).fill_nan(None) for n, x in columns.items() if n in kept.columns)
 
 
-def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
-    """The poses in a TUM file, sorted by time, in the columns of a truth, and notices; # begins a comment.
-
-    A file whose attitudes are all the identity has none. Raises UnusableInput with file and line.
-    """
-    file, _ = read_rows(Path(path), Reading(separator=" ", header="none"))
-    counts = file.frame.select(pl.sum_horizontal(pl.all().str.strip_chars().fill_null("") != "")).to_series()
+def read_tum(path: Path) -> TableFile:
+    """The columns of a TUM file as texts; # begins a comment. Raises UnusableInput with file and line."""
+    file, _ = read_rows(path, Reading(separator=" ", header="none"))
+    counts = file.frame.select(pl.sum_horizontal(pl.all().is_not_null())).to_series()
     if (counts != len(TUM)).any():
         row = first_row(counts != len(TUM))
         raise UnusableInput(f"{file.location(row, f'column{counts[row]}')}, the last; expected {_TUM_WORDS}")
-    table = pl.DataFrame({name: numbers_of(file, f"column{k}") for k, name in enumerate(TUM, 1)})
-    for name, values in zip(TUM, table, strict=True):
-        if not (known := values.is_finite().fill_null(False)).all():
-            row, column = first_row(~known), f"column{TUM.index(name) + 1}"
-            raise UnusableInput(f"{file.location(row, column)}: not finite; expected {_TUM_WORDS}")
-    if (zero := table.select(pl.all_horizontal(pl.col(QUATERNION) == 0)).to_series()).any():
-        raise UnusableInput(f"{file.location(first_row(zero), 'column5')}: a zero quaternion; leave the pose out")
-    times, notices = unwrapped_times(table["t_s"].to_numpy())
-    refuse_lost_digits(f"{path}", table := table.with_columns(t_s=times))
-    if (at := restarted_at(times)) is not None:
-        found = f"pose {at + 1}: {times[at]:.3f} s after {times[:at].max():.3f} s: the clock went back"
-        raise UnusableInput(f"{path}: {found}; expected times that increase; make the poses before and after two files")
-    if (steps := np.diff(times)).min(initial=0) < 0:
-        back = f"{int((steps < 0).sum())}, by {-float(steps.min()):.6g} s at most"
-        notices.append(f"rows earlier than the previous row: {back}; sorted")
-    if (table["qw"] == 1).all() and not table.select(QUATERNION[1:]).to_numpy().any():
-        notices.append("every quaternion is the identity; read as positions without attitude")
-        table = table.drop(QUATERNION)
-    return table.sort("t_s", maintain_order=True), notices
+    return replace(file, frame=file.frame.rename(dict(zip(file.frame.columns, TUM, strict=True))))
 
 
-def read_source(path: Path, name: str, asked: Asked) -> Source:
-    """The poses of a TUM file as the table of each mapping; raises UnusableInput with file and line."""
-    source, (poses, notices) = Source(), read_trajectory(path)
-    for mapping in asked.mappings:
-        if mapping.table not in ("truth", "fixes"):
-            raise UnusableInput(f"{path}: poses are a table truth or fixes, not {mapping.table}; give --table truth")
-        source.notices += [f"{mapping.table}: {line}" for line in notices]
-        source.read(TableFile(path, poses), mapping)
-    return source
+def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
+    """The poses in a TUM file, or a table with columns that `track` writes, by time, and notices; or UnusableInput."""
+    is_table = Path(path).name.lower().endswith(SUFFIXES)
+    file = read_table_file(Path(path)) if is_table else read_tum(Path(path))
+    columns = file.frame.columns
+    if missing := {"t_s", "x_m", "y_m", *({"std_x_m", "std_y_m"} if "std_x_m" in columns else ())} - {*columns}:
+        fix = "expected also z_m, std_x_m …, qw … qz where known; bring it into this form by `trackwright import`"
+        raise UnusableInput(f"{path}: no column {listed(sorted(missing))}; found {listed(columns, 12)}; {fix}")
+    table = file.frame.select(pl.col(n).cast(pl.String) if n in _TEXT else numbers_of(file, n) for n in columns)
+    # The standard deviation of a known height is 0.
+    reported = table.select(pl.col("^std_.*$").replace(0.0, None))
+    check_stds(file, reported, reported.columns)
+    table, notices = without_identities(table)
+    keys, tracks = [name for name in ("recording", "tag", "station") if name in columns], list[pl.DataFrame]()
+    for rows in table.partition_by(keys, maintain_order=True) if keys else [table]:
+        times, said = unwrapped_times(rows["t_s"].to_numpy())
+        tracks.append(rows.with_columns(t_s=times).sort("t_s", maintain_order=True))
+        refuse_lost_digits(f"{path}", tracks[-1])
+        if (at := restarted_at(times)) is not None:
+            found = f"pose {at + 1}: {times[at]:.3f} s after {times[:at].max():.3f} s: the clock went back"
+            raise UnusableInput(f"{path}: {found}; expected times that increase; make two files of it")
+        late = int((np.diff(times) < 0).sum())
+        notices += said + [f"rows earlier than the previous row: {late}; sorted"] * bool(late)
+    return pl.concat(tracks), notices
 
 
 def write_trajectory(table: pl.DataFrame, path: Path | str) -> Path:
     """Writes the usable poses of one tag as TUM with all digits, and returns the path.
 
-    An unknown height is written as 0; an unknown attitude is that of a level body by its heading, or the identity.
+    An unknown height is written as 0, an unknown attitude as the identity.
     """
-    rows = usable_rows(table)
-    numbers, half = np.nan_to_num(stacked(rows, TUM)), np.nan_to_num(float_column(rows, HEADING)) / 2
-    level = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=1)
-    numbers[:, 4:] = np.where(numbers[:, 4:].any(axis=1, keepdims=True), numbers[:, 4:], level)
+    numbers = np.nan_to_num(stacked(usable_rows(table), TUM))
+    numbers[:, 7] = np.where(numbers[:, 4:].any(axis=1), numbers[:, 7], 1.0)
     return write_whole(Path(path), "".join(" ".join(map(repr, row)) + "\n" for row in numbers.tolist()))
 
 
@@ -166,34 +158,25 @@ def export_tracks(
 
     `tum`: a file for each track, of one track `out`. `force`: replace a file that exists. Raises UnusableInput.
     """
-    if not (run / RIG_FILE).is_file():
-        table = read_tracks(run)
-    elif "truth" in (recording := read_recording(run)).tables:
-        table = recording.tables["truth"].with_columns(recording=pl.lit(recording.name))
-    else:
+    recording = read_recording(run) if (run / RIG_FILE).is_file() else None
+    table = read_tracks(run) if recording is None else recording.tables.get("truth")
+    if table is None:
         raise UnusableInput(f"{run}: has no truth table; expected a folder of `track`, or a recording with truth")
-    if tag is not None:
-        tags = sorted(table["tag"].cast(pl.String).unique())
-        table = table.filter(pl.col("tag").cast(pl.String) == tag)
-        if table.is_empty():
-            raise UnusableInput(f"--tag {tag}: no row of it; found {listed(tags)}")
-    if format == "tum" and is_bearing(table):
-        raise UnusableInput("the tracks hold bearings, no positions; --format csv writes them")
+    table = Selection(() if tag is None else (tag,)).of_estimates(table)
+    if recording is not None:
+        table = table.with_columns(recording=pl.lit(recording.name))
     tracks = {out: table}
     if format == "tum":
-        usable = usable_rows(table).partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
-        names = (re.sub(r"[^\w.-]", "_", f"{recording}-{tag}")[:100] for recording, tag in usable)
-        files = [out] if len(usable) == 1 and out.suffix else [out / f"{name}.tum" for name in names]
-        tracks = dict(zip(files, usable.values(), strict=True))
-    if not tracks:
-        raise UnusableInput("no track holds an estimate; run `trackwright check` on the recording")
+        if is_bearing(table) or (table := usable_rows(table)).is_empty():
+            raise UnusableInput(f"{run}: holds no estimate of a position; --format csv writes what there is")
+        parts = table.partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
+        names = (re.sub(r"[^\w.-]", "_", f"{recording}-{tag}")[:100] for recording, tag in parts)
+        files = [out] if len(parts) == 1 and out.suffix else [out / f"{name}.tum" for name in names]
+        tracks = dict(zip(files, parts.values(), strict=True))
     if out.is_dir() and any(out.iterdir()):
         raise UnusableInput(f"--out {out}: is a folder with content; expected a new file or an empty folder")
     if not force and (old := next((path for path in (out, *tracks) if path.is_file()), None)):
         raise UnusableInput(f"--out {old}: exists; expected a new file; --force replaces it")
     for path, rows in tracks.items():
-        if format == "csv":
-            write_whole(path, rows.write_csv())
-        else:
-            write_trajectory(rows, path)
+        write_whole(path, rows.write_csv()) if format == "csv" else write_trajectory(rows, path)
         yield f"wrote {path}: {counted(len(rows), 'pose' if format == 'tum' else 'row')}"

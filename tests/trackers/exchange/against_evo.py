@@ -17,7 +17,7 @@ def evo_modules():
     return metrics, sync, file_interface
 
 
-def evo_errors(estimate, truth, align="none", tolerance=0.01, offset=0.0, steps=("1m",), all_pairs=False):
+def evo_errors(estimate, truth, align="none", tolerance=0.01, offset=0.0, steps=("1m",)):
     """Statistics of evo by name, ape, ape_deg, rpe STEP: the estimate and truth are paths of TUM files."""
     metrics, sync, files = evo_modules()
     true, own = sync.associate_trajectories(
@@ -38,7 +38,7 @@ def evo_errors(estimate, truth, align="none", tolerance=0.01, offset=0.0, steps=
         found["ape" + suffix] = ape.get_all_statistics()
         for step in steps:
             unit = metrics.Unit.meters if step.endswith("m") else metrics.Unit.frames
-            rpe = metrics.RPE(relation, float(step[:-1]), unit, all_pairs=all_pairs)
+            rpe = metrics.RPE(relation, float(step[:-1]), unit)
             rpe.process_data((true, own))
             found[f"rpe {step}{suffix}"] = rpe.get_all_statistics()
     return found, own.num_poses

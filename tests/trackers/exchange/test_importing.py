@@ -12,8 +12,8 @@ import pytest
 import trackwright as tw
 from tests.in_process import assert_refused_last, trackwright
 from trackwright.trackers.evaluation.rows import AXES
-from trackwright.trackers.exchange.trajectories import Similarity, write_trajectory
-from trackwright.trackers.exchange.truth_frame import leaning
+from trackwright.trackers.exchange.trajectories import write_trajectory
+from trackwright.trackers.exchange.truth_frame import Placement, found_placement
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 
@@ -64,17 +64,18 @@ def test_ranges_to_anchors_without_positions_are_imported_for_a_survey_where_the
         ("log.csv", CSV, ("ranges: no positions of anchors", "by --rig")),
         ("log.csv", ("--table", "ranges"), ("needs t_s", "found 'stamp', 'id', 'distance'", "--columns")),
         ("log.csv", ("--table", "fixes", "--columns", "t_s=stamp"), ("fixes needs tag", "'distance'; give --tag ID")),
-        ("log.csv", (), ("no table given", "--table")),
-        ("log.csv", ("--columns", "range_m=distance"), ("--columns without --table",)),
-        ("log.csv", ("--mapping", "miluv", "--table", "ranges"), ("one or the other",)),
+        ("log.csv", (), ("expected either --table or --mapping",)),
+        ("log.csv", ("--mapping", "dwm1001", "--table", "ranges"), ("expected either --table or --mapping",)),
+        ("log.csv", ("--mapping", "dwm1001", "--skip", "2"), ("--skip: is of one --table",)),
+        (
+            "log.csv",
+            ("--format", "euroc", "--tag", "T"),
+            ("--format euroc: expected csv, json, tum, ros or FILE.py:NAME",),
+        ),
+        ("log.csv", ("--mapping", "crazyflie"), ("t_s=Timestamp in ms: no column 'Timestamp' (did you mean stamp?)",)),
         ("missing.csv", CSV, ("missing.csv", "cannot be read")),
         ("mocap.tum", ("--table", "truth"), ("truth needs tag", "give --tag ID")),
-        ("mocap.tum", ("--table", "ranges", "--tag", "T"), ("truth or fixes",)),
-        (
-            "rig.toml",
-            ("--table", "truth", "--tag", "T"),
-            ("no format is recognised", "a ROS bag", "DWM1001", "TUM", "--format"),
-        ),
+        ("rig.toml", ("--table", "truth", "--tag", "T"), ("rig.toml: line 3 has 1 cell",)),
     ],
 )
 def test_what_is_not_understood_is_refused_and_nothing_is_written(there, source, arguments, words):
@@ -113,27 +114,6 @@ def test_a_truth_may_come_first_and_a_table_is_replaced_where_that_is_asked_for(
     assert trackwright(*ranges, "--replace").code == 0
     assert pl.read_parquet("hall/ranges.parquet")["range_m"].to_list() == [7.0, 2.5]
     assert set(read_recording(tmp_path / "hall").tables) == {"ranges", "truth"}
-
-
-def test_one_origin_moves_all_tables_of_an_import(there):
-    lines = "".join(f"{1777896800.26 + 0.1 * k} {1 + 0.01 * k} 2 0.5 0 0 0 1\n" for k in range(30))
-    (there / "mocap.tum").write_text(lines)
-    rows = [f"2026-05-04T14:13:{20.36 + 0.1 * k:.2f}+02:00,A1,{2000 + k}" for k in range(30)]
-    (there / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
-    iso = [word.replace("stamp*0.001", "stamp in iso") for word in CSV]
-    said = trackwright("import", "log.csv", *iso, "--origin", "start", "--rig", "rig.toml", "--out", "hall")
-    assert "t_s = 0 is 2026-05-04 12:13:20.36 UTC of log.csv" in said.err
-    given = said.err.partition("the same --origin ")[2].split()[0]
-    truth = ("import", "mocap.tum", "--table", "truth", "--tag", "T1", "--out", "hall", "--origin")
-    assert_refused_last(trackwright(*truth, "start"), "hall has tables already", "--origin SECONDS")
-    assert_refused_last(trackwright(*truth, "noon"), "--origin noon: expected start, seconds, or a date such as")
-    assert trackwright(*truth, given).code == 0
-    tables = read_recording(there / "hall").tables
-    assert tables["ranges"]["t_s"].to_list()[:2] == pytest.approx([0.0, 0.1], abs=1e-6)
-    assert tables["truth"]["t_s"].to_list()[:2] == pytest.approx([-0.1, 0.0], abs=1e-6)
-    by_date = (*truth[:-2], "dated", "--origin", "2026-05-04T12:13:20.26")
-    assert trackwright(*by_date).code == 0
-    assert pl.read_parquet("dated/truth.parquet")["t_s"][29] == pytest.approx(2.9, abs=1e-6)
 
 
 def test_rows_in_any_order_are_sorted_at_import_and_noticed_there_alone(there):
@@ -190,23 +170,6 @@ def test_a_truth_in_another_frame_and_on_another_clock_is_brought_over_by_the_re
     assert _distances(foreign).max() < 1e-3
 
 
-def test_a_truth_that_leans_is_levelled_by_the_gravity_that_an_imu_measures(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    folder = tw.simulate.tool(n=1, rows=300, seed=4).folder()
-    truth = folder.tables["truth"]
-    tilt = _turn(50.0) @ np.array([[1, 0, 0], [0, 0.96, -0.28], [0, 0.28, 0.96]])
-    lean = Similarity(tilt @ _turn(30.0), np.array([4.0, 2.0, 1.0]))
-    turn, _ = leaning(replace(folder, tables={**folder.tables, "truth": lean.table(truth)}))
-    np.testing.assert_allclose(turn.rotation @ turn.rotation.T, np.eye(3), atol=1e-9)
-    np.testing.assert_allclose(turn.rotation @ tilt[:, 2], [0.0, 0.0, 1.0], atol=0.04)
-    write_recording(replace(folder, tables={k: v for k, v in folder.tables.items() if k != "truth"}), Path("hall"))
-    write_trajectory(lean.table(truth), "mocap.tum")
-    said = trackwright(*TRUTH, "--align-truth")
-    assert "levelled, which leaned by 16°" in said.err
-    moved = read_recording("hall").tables["truth"]
-    np.testing.assert_allclose(moved.select("x_m", "y_m", "z_m"), truth.select("x_m", "y_m", "z_m"), atol=0.2)
-
-
 def test_the_truth_of_another_walk_fits_no_readings(foreign):
     truth = tw.simulate.ranges(n=1, rows=300, seed=9).folder().tables["truth"]
     write_trajectory(truth, "mocap.tum")
@@ -244,3 +207,37 @@ def test_a_truth_along_the_path_of_the_rig_is_fitted_to_the_fixes(tmp_path, monk
     assert_refused_last(
         trackwright("import", "line", "--path", "--tag", "T1", "--out", "other"), "--path", "no other option but --out"
     )
+
+
+def test_the_clock_is_found_where_readings_come_at_the_first_time_of_the_truth():
+    folder = tw.simulate.ranges(n=1, rows=400, seed=4, hidden=0.0, bias=0.0).folder()
+    early = folder.tables["truth"].with_columns(pl.col("t_s") - 0.3)
+    found, _ = found_placement(replace(folder, tables={**folder.tables, "truth": early}))
+    assert found.later == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_height_that_biases_of_ranges_do_not_determine_stays_as_it_is():
+    folder = tw.simulate.ranges(n=1, rows=400, seed=4, hidden=0.0, bias=0.0).folder()
+    longer = folder.tables["ranges"].with_columns(pl.col("range_m") + 0.04)
+    found, words = found_placement(replace(folder, tables={**folder.tables, "ranges": longer}))
+    assert found.z == 0.0
+    assert "z as it was" in words
+    assert "standard errors" in words
+
+
+def test_a_height_that_is_clearly_other_is_brought_over():
+    folder = tw.simulate.ranges(n=1, rows=400, seed=4, hidden=0.0, bias=0.0).folder()
+    truth = folder.tables["truth"].with_columns(pl.col("z_m") - 1.5)
+    higher = replace(folder, tables={**folder.tables, "truth": truth})
+    assert found_placement(higher)[0].z == pytest.approx(1.5, abs=0.1)
+
+
+def test_fixes_without_a_height_place_a_truth_over_the_floor():
+    folder = tw.simulate.agv(n=1, rows=200, seed=2).folder()
+    truth, fixes = folder.tables["truth"], folder.tables["fixes"].with_columns(z_m=pl.lit(None, pl.Float64))
+    placed = Placement(3.0, -4.0, 0.0, 60.0, 0.0).of_table(truth)
+    found, words = found_placement(replace(folder, tables={"fixes": fixes, "truth": placed}))
+    assert words.partition(";")[0].count(" m") == 2
+    back = found.of_table(placed)
+    for axis, most in (("x_m", 0.2), ("y_m", 0.2), ("z_m", 1e-6)):
+        assert np.abs(back[axis].to_numpy() - truth[axis].to_numpy()).max() < most
