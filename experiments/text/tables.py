@@ -232,8 +232,9 @@ def pose_errors_text(compared: Sequence[TrajectoryErrors], align: str, width: in
     scale = " to ".join(dict.fromkeys((f"{min(scales):.6g}", f"{max(scales):.6g}")))
     scale = "" if scale == "1" else f", scale {scale}"
     notes = {
-        f"As evo: {sum(e.pairs for e in compared)} of {sum(e.possible for e in compared)} poses have a true one within "
-        f"{worst[0].time_tolerance_s:g} s; time offset {worst[0].time_offset_s:.12g} s; alignment {align}{scale}.": True,
+        f"As evo: {sum(e.pairs for e in compared)} of {sum(e.possible for e in compared)} poses have a true one "
+        f"within {worst[0].time_tolerance_s:g} s; time offset {worst[0].time_offset_s:.12g} s; "
+        f"alignment {align}{scale}.": True,
         "The errors in the first table are of all rows, at the time of each, by the truth interpolated there.": True,
         "APE and RPE are horizontal: a height is unknown.": any(e.planar for e in compared),
         f"At most {SHOWN_TRACKS} tracks are listed, those with the largest APE.": len(compared) > SHOWN_TRACKS,
