@@ -1,4 +1,4 @@
-"""What tracked recordings show against their readings or noise levels: delays, mirrored heights, innovations."""
+"""What tracked recordings show against their readings or noise levels: mirrored heights, innovations."""
 
 from __future__ import annotations
 
@@ -13,13 +13,11 @@ from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import SAY_SIDE
 from trackwright.trackers.evaluation.evaluate import with_truth
 from trackwright.trackers.evaluation.rows import is_scored
-from trackwright.trackers.recordings.checks.residuals import delay_against_truth
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 
 CONTRADICTED, CORRELATED = 1.5, 3.0  # by what factor innovations are off, and rows that carry the information of one
-LATE_S = 0.1  # delay of readings against truth, beyond the latency that the tracker assumes
 APART_M, MIRRORED_SHARE = 0.5, 0.1
 """Distance of true heights from the anchors' plane, m, from which on their side counts; share of estimates on the other
 side that is worth a line."""
@@ -55,19 +53,3 @@ def mirror_cautions(named: NamedTracker, folders: Sequence[RecordingFolder]) -> 
     tracks = named.run(folders)
     told = [line for line in tracks.notices if SAY_SIDE in line]
     return [*told, *mirrored_heights(with_truth(tracks.table, folders), folders)]
-
-
-def late_readings(named: NamedTracker, folders: Sequence[RecordingFolder]) -> list[str]:
-    """A line for each recording whose readings come later against truth than the tracker assumes."""
-    read = [name for name in ("ranges", "fixes", "bearings") if name in named.spec.reads]
-    lines = []
-    for folder in folders:
-        for table in (name for name in read if name in folder.tables):
-            tunable, delay = f"sensors.{table}.latency", delay_against_truth(folder, table)
-            latency = named.tunables.get(tunable)
-            if not abs(delay - (0.0 if latency is None else float(latency.value))) > LATE_S:
-                continue
-            what = f"{folder.path or folder.name}: {table} come {abs(delay):.2f} s {'late' if delay > 0 else 'early'}"
-            fix = "compare the clocks" if latency is None or delay < 0 else f"allow for it: --set {tunable}={delay:.2f}"
-            lines.append(f"{what} against truth; {fix}")
-    return lines

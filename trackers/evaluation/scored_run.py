@@ -9,7 +9,7 @@ from typing import Any
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.cautions import late_readings, mirrored_heights
+from trackwright.trackers.evaluation.cautions import mirrored_heights
 from trackwright.trackers.evaluation.evaluate import Evaluation, truths_of, with_truth
 from trackwright.trackers.evaluation.events import events_of
 from trackwright.trackers.evaluation.residuals import residual_ratios
@@ -51,7 +51,7 @@ class ScoredRun:
         truths, lines = truths_of(folders), list[str]()
         rows = with_truth(tracks.table, folders)
         if is_scored(rows).any():
-            lines = [*mirrored_heights(rows, folders), *late_readings(named, folders)]
+            lines = mirrored_heights(rows, folders)
         elif truths:
             try:
                 refuse_without_overlap(rows, truths)

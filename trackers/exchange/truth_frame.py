@@ -15,15 +15,21 @@ from scipy.spatial.transform import Rotation
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.exchange.trajectories import Similarity
-from trackwright.trackers.recordings.checks.changes import about_vertical, transform_text
-from trackwright.trackers.recordings.checks.compared import Compared, cauchy_weights, compared, derivatives, robust_fit
-from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced, true_attitude
-from trackwright.trackers.recordings.checks.readings import known_median
+from trackwright.trackers.recordings.checks.mistakes import about_vertical
+from trackwright.trackers.recordings.checks.readings import (
+    Compared,
+    cauchy_weights,
+    compared,
+    derivatives,
+    known_median,
+    robust_fit,
+)
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.kinds import KINDS, QUATERNION
 
 LONGEST_S, STEP_S = 10.0, 0.5  # differences of the clocks that are searched: some decimetres of motion between two
-LEANING, PUSH_S = 5.0, 0.2  # angle of gravity to z, °, from which a truth is levelled; time of an IMU's averages, s
+LEANING, PUSH_S = 5.0, 0.2  # angle of gravity to z, °, from which a truth is levelled; s between force and attitude
+ACCEL = [f"accel_{axis}_mps2" for axis in "xyz"]
 FEW, NEAR = 240, 3  # readings of the search, and how many of its 24 turns are refined at each difference
 DETERMINED_M, SURE = 0.05, 3.0  # standard error of z that is determined, and standard errors that are not zero
 
@@ -36,6 +42,10 @@ class Placement(NamedTuple):
     z: float
     yaw: float
     later: float = 0.0
+
+    def text(self) -> str:
+        """As `--transform` takes it: `1.200,-0.300,0.000,37.000,0.350`."""
+        return ",".join(f"{round(float(x), 3) + 0.0:.3f}" for x in self)
 
     def of_table(self, truth: pl.DataFrame) -> pl.DataFrame:
         """The truth, positions and attitudes, in the other frame and on the other clock."""
@@ -76,22 +86,23 @@ def with_truth_moved(
                 f"truth levelled, which leaned by {angle:.0f}° against the gravity that the IMU measures; then"
             )
         placement, words = found_placement(beside(truth), flat)
-        notices.append(f"truth moved by --transform {transform_text(*placement)}: {words}")
+        notices.append(f"truth moved by --transform {placement.text()}: {words}")
     return replace(imported, tables=dict(imported.tables) | {"truth": placement.of_table(truth)}), notices
 
 
 def leaning(recording: RecordingFolder) -> tuple[Similarity, float]:
     """The turn that makes gravity, as an IMU measures it, vertical in the truth's frame; its angle, ° or 0."""
     truth = recording.tables["truth"]
-    for tag in truth["tag"].unique(maintain_order=True) if "imu" in recording.tables else ():
-        rows, attitude = imu_rows(recording.tables["imu"], tag), true_attitude(truth.filter(pl.col("tag") == tag))
-        if rows is None or attitude is None:
-            continue
-        at = spaced(attitude.times, PUSH_S)
-        row = np.searchsorted(attitude.times, at).clip(max=len(attitude.times) - 1)
-        force = between(rows.times, rows.pushed, at - PUSH_S / 2, at + PUSH_S / 2) / PUSH_S
-        force = np.einsum("nij,nj->ni", rotation_matrices(attitude.quaternions[row]), force)
-        gravity = np.nan_to_num(force).sum(axis=0) / max(np.isfinite(force[:, 0]).sum(), 1)
+    known = "imu" in recording.tables and {*QUATERNION} <= {*truth.columns}
+    for tag in truth["tag"].unique(maintain_order=True) if known else ():
+        imu, attitudes = (
+            table.filter(pl.col("tag") == tag).select("t_s", *columns).drop_nulls().sort("t_s")
+            for table, columns in ((recording.tables["imu"], ACCEL), (truth, QUATERNION))
+        )
+        rows = imu.join_asof(attitudes, on="t_s", strategy="nearest", tolerance=PUSH_S).drop_nulls()
+        quaternions = rows.select(QUATERNION).to_numpy()
+        turns = rotation_matrices(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
+        gravity = np.einsum("nij,nj->i", turns, rows.select(ACCEL).to_numpy()) / max(len(rows), 1)
         size = max(float(np.linalg.norm(gravity)), 1e-9)
         angle = math.degrees(math.acos(gravity[2] / size))
         if 9.0 < size < 11.0 and LEANING < angle < 180.0 - LEANING:

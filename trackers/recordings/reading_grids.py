@@ -125,7 +125,7 @@ def with_rounding(folder: RecordingFolder, names: Collection[str]) -> RecordingF
             continue
         if any(std_column(column) in table.columns for column in kind.least):
             continue
-        read = readings(folder.unaveraged or folder, name, errors=False)
+        read = readings(folder.unaveraged or folder, name)
         steps = ((column, quantisation_step(read, k)) for k, column in enumerate(read.columns))
         spreads = {std_column(column): pl.lit(step / math.sqrt(12.0)) for column, step in steps if step is not None}
         if spreads:
@@ -154,7 +154,7 @@ def _readings(name: str, sensor: AbstractSensor, batches: Iterable[Batch]) -> Re
     # The column of an angle is named so that its wraps are known.
     columns = tuple(f"{channel.name}_{channel.unit}" for channel in sensor.channels)
     joined = np.concatenate(values)
-    return Readings(columns, np.concatenate(streams), np.zeros(len(joined)), joined, np.full(joined.shape, np.nan))
+    return Readings(columns, np.concatenate(streams), joined)
 
 
 def _sources(inputs: Float[np.ndarray, "n i"]) -> np.ndarray:
@@ -182,7 +182,7 @@ def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[Recor
     for name, kind in KINDS.items():
         if folder.average_s is not None or not kind.averaged or name not in names or name not in folder.tables:
             continue
-        if not source_repeats(readings(folder, name, errors=False)):
+        if not source_repeats(readings(folder, name)):
             continue
         table, layout = folder.tables[name], kind.layout(folder.tables[name].columns)
         values = [pl.col(column) for column in layout.values]

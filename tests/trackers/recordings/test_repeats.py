@@ -31,8 +31,7 @@ def _ranges(held, seed=5, step=0.01):
 
 def _readings(values, step):
     values = np.round(np.asarray(values) / step) * step
-    unknown = np.full((len(values), 1), np.nan)
-    return Readings(("range_m",), np.zeros(len(values), int), 0.1 * np.arange(len(values)), values[:, None], unknown)
+    return Readings(("range_m",), np.zeros(len(values), int), values[:, None])
 
 
 @pytest.mark.parametrize("held", [0.35, 0.6])
