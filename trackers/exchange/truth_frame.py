@@ -13,8 +13,8 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.exchange.trajectories import Similarity
-from trackwright.trackers.recordings.checks.changes import about_vertical, transform_text
-from trackwright.trackers.recordings.checks.compared import Compared, compared, robust_fit
+from trackwright.trackers.recordings.checks.mistakes import about_vertical
+from trackwright.trackers.recordings.checks.readings import Compared, compared, robust_fit
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 
@@ -32,6 +32,10 @@ class Placement(NamedTuple):
     yaw: float
     later: float = 0.0
 
+    def text(self) -> str:
+        """As `--transform` takes it: `1.200,-0.300,0.000,37.000,0.350`."""
+        return ",".join(f"{round(float(x), 3) + 0.0:.3f}" for x in self)
+
     def of_table(self, truth: pl.DataFrame) -> pl.DataFrame:
         """The truth, positions and attitudes, in the other frame and on the other clock."""
         moved = Similarity(about_vertical(math.radians(self.yaw)), np.array(self[:3])).table(truth)
@@ -43,7 +47,7 @@ def moved_truth(truth: pl.DataFrame, recording: RecordingFolder, transform: str 
     if transform is None:
         tables = dict(recording.tables) | {"truth": truth.sort("t_s", maintain_order=True)}
         placement, words = found_placement(replace(recording, tables=tables))
-        return placement.of_table(truth), f"truth moved by --transform {transform_text(*placement)}: {words}"
+        return placement.of_table(truth), f"truth moved by --transform {placement.text()}: {words}"
     try:
         placement = Placement(*map(float, transform.split(",")))
         if np.isfinite(placement).all():

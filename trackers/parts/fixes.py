@@ -32,7 +32,7 @@ from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.tunable import Considered, Covariance, Real, Scale
 from trackwright.trackers.core.run.latency import AbstractDelayedSensor
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy, TrackScorePolicy
-from trackwright.trackers.recordings.checks.geometry import without_height
+from trackwright.trackers.recordings.checks.rules import without_height
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
 
@@ -228,5 +228,5 @@ def lacks_fixes(folder: RecordingFolder) -> str | None:
     """What a folder lacks for a tracker of fixes, in words: the table, or the height of a tag; None if nothing."""
     if "fixes" not in folder.tables:
         return "a fixes table, found no such table"
-    lacking = without_height(folder.rig, folder.rows("fixes"))
+    lacking = without_height(folder.rig, folder.tables["fixes"])
     return f"z_m of tag {lacking[0]!r} in fixes, or its height_m in rig.toml, found neither" if lacking else None

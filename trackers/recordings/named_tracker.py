@@ -201,7 +201,7 @@ def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[Recor
             lines += [f"{folder.name}: {line}"] * (line not in folder.notices)
         if folder.average_s is not None or not kind.averaged or name not in names:
             continue
-        if source_repeats(readings(own, name, errors=False)):
+        if source_repeats(readings(own, name)):
             columns = kind.layout(rows.columns)
             values = [pl.col(column) for column in columns.values]
             same = pl.all_horizontal(x.eq_missing(x.forward_fill().shift().over(columns.ids)) for x in values)
@@ -251,7 +251,7 @@ def with_rounding(folder: RecordingFolder, names: Collection[str]) -> RecordingF
     for name in (n for n in KINDS if n in folder.tables and n in names):
         kind, table = KINDS[name], folder.tables[name]
         if kind.averaged and not any(std_column(column) in table.columns for column in kind.least):
-            read = readings(folder.unaveraged or folder, name, errors=False)
+            read = readings(folder.unaveraged or folder, name)
             steps = {column: quantisation_step(read, k) for k, column in enumerate(read.columns)}
             spreads = {std_column(c): pl.lit(step / math.sqrt(12.0)) for c, step in steps.items() if step is not None}
             if spreads:

@@ -9,12 +9,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import polars as pl
 
 from trackwright.trackers.core.data.recording import Columns, Readings
 from trackwright.trackers.parts.range_rows import room_of_anchors
-from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import layout
 from trackwright.trackers.recordings.trajectories import Trajectories, known_height, trajectories_of
 
 
@@ -137,15 +138,15 @@ def tilting_tags(
     `read`: the table of the tags' other readings. `without`: the tracker of these alone, which names that with an IMU.
     """
     table = folder.tables["imu"]
+    columns, dt = layout("imu", table.columns).values, pl.col("t_s").diff().clip(0.0, HOLD_S).fill_null(0.0)
     for tag in () if QUATERNION[0] in table.columns else folder.rows(read).tags:
-        rows = None if free_height or known_height(folder, tag) is None else imu_rows(table, tag)
-        if rows is None:
+        if free_height or known_height(folder, tag) is None:
             continue
-        start = spaced(rows.times, 0.5)
-        turned = between(rows.times, rows.turned, start, start + 1.0)
+        rows = table.filter(pl.col("tag") == tag).select("t_s", *columns).drop_nulls().sort("t_s")
+        seconds = rows.group_by(pl.col("t_s").floor()).agg((pl.col(columns[3:]) * dt).sum())
         # A mounting that leans turns about the mean specific force.
-        up = rows.pushed[-1] / max(float(np.linalg.norm(rows.pushed[-1])), 1e-9)
-        turns = np.cross(turned[np.isfinite(turned).all(axis=1)], up)
+        up = rows.select(columns[:3]).mean().fill_null(0.0).to_numpy()[0]
+        turns = np.cross(seconds.select(columns[3:]).to_numpy(), up / max(float(np.linalg.norm(up)), 1e-9))
         tilt = float(np.sqrt(np.sum(np.var(turns, axis=0)))) if len(turns) else 0.0
         if tilt > TILTING:
             tilts = f"{folder.name}: imu: tag {tag} typically tilts by {np.degrees(tilt):.0f}° in a second"

@@ -84,7 +84,7 @@ def test_a_place_left_at_the_origin_of_the_map_neither_holds_the_site_there_nor_
     left = replace(folder, rig=replace(folder.rig, anchors=folder.rig.anchors | {"spare": np.zeros(3)}))
     assert near_origin(left).origin == near_origin(folder).origin == (5e5 + 4, 5.4e6 + 3)
     (found,) = check_units(left.rig, {})
-    assert (found.level, found.message[:14]) == ("error", "anchor spare: ")
+    assert (found.level, found.message[:7]) == ("error", "spare: ")
     assert not [*check_units(folder.rig, {})]
 
 

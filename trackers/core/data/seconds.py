@@ -59,11 +59,6 @@ def span(first: float, last: float) -> str:
     return f"{moment(first).removesuffix(' s')} to {moment(last)}"
 
 
-def place_in_time(time: float, zero: float) -> str:
-    """The time of a row for messages: its `t_s`, or the seconds after `zero` where times count from 1970."""
-    return f"{time - zero:.6g} s after the start" if zero else f"t_s {time:.9g}"
-
-
 def time_label(zero: float) -> str:
     """The label of an axis of times, s, after `zero`; with the date where times count from 1970."""
     return f"time (s) since {moment(zero)}" if zero else "time (s)"

@@ -6,19 +6,29 @@ for result in check(tw.read("hall")):
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
+import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.checks import LEVELS, CheckResult, rules
-from trackwright.trackers.recordings.checks.compared import compared, moments
-from trackwright.trackers.recordings.checks.geometry import check_fix_heights, check_geometry
-from trackwright.trackers.recordings.checks.mistakes import check_against_truth, check_closing
-from trackwright.trackers.recordings.checks.readings import check_readings
-from trackwright.trackers.recordings.checks.residuals import check_residuals
+from trackwright.trackers.recordings.checks.mistakes import check_mistakes
+from trackwright.trackers.recordings.checks.readings import (
+    MANY,
+    Compared,
+    compared,
+    known_median,
+    located,
+    readings,
+    repeated_share,
+)
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
+
+OUTLIER, SHOWN, FEW = 5.0, 24, 0.01
+"""Robust standard deviations beyond which a reading is an outlier; most sensors with a line each; share of repeats that
+is reported."""
 
 
 def check(recording: RecordingFolder) -> list[CheckResult]:
@@ -27,12 +37,11 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
 
 
 def quick_check(recording: RecordingFolder, calibrated: bool = False) -> list[CheckResult]:
-    """The errors alone that `check` finds, and its warnings of units and of an IMU, in a fraction of its time.
+    """The errors that `check` finds, and its warnings of units and likely mistakes, in a fraction of its time.
 
-    `calibrated`: what a calibration of anchors and stations removes is no mistake, nor are readings of one moment that
-    contradict each other, as uncalibrated ones do.
+    `calibrated`: what a calibration of anchors and stations removes is no mistake.
     """
-    return _results(recording, False, calibrated)
+    return [result for result in _results(recording, False, calibrated) if result.level != "info"]
 
 
 def _results(recording: RecordingFolder, full: bool, calibrated: bool = False) -> list[CheckResult]:
@@ -40,37 +49,23 @@ def _results(recording: RecordingFolder, full: bool, calibrated: bool = False) -
     measured = {name: tables[name] for name in KINDS if name in tables}
     results = [*_of_tables(recording, measured)] if full else []
     results += rules.check_times(measured or tables, base=full)
-    results += rules.check_clocks(tables)
-    results += (result for result in rules.check_units(rig, tables) if full or result.level != "info")
-    if "truth" not in tables:
-        results += rules.check_heights(rig, tables)
-    elif measured:
-        results += rules.check_cover(tables["truth"], measured, full)
+    results += rules.check_clocks(measured, tables.get("truth")) if measured else ()
+    results += rules.check_units(rig, tables)
     # Wrong units or times are a mistake that is named already.
-    sound = not _errors(results)
-    if not sound and not full:
-        return results
-    if "imu" in tables and sound:
-        from trackwright.trackers.recordings.checks.imu import check_imu
-
-        results += check_imu(recording)
-    for name in measured:
-        results += _of_readings(recording, name, full, sound, calibrated)
+    sound = all(one.level != "error" for one in results)
+    for name in measured if sound or full else ():
+        view, mistakes = compared(recording, name), list[CheckResult]()
+        if sound and not KINDS[name].numbered:
+            for of in (view, None if calibrated else located(recording, name)):
+                mistakes += check_mistakes(of, calibrated) if of is not None and not mistakes else ()
+                if of is not None and (of.sizes() > of.kind.sizes("large", len(of.columns))).any():
+                    break
+        results += mistakes
+        results += _of_sensors(view) if full and view is not None else ()
     # Heights are a part of the frame.
-    if "truth" in tables and not any("the truth" in line or "positions" in line for line in _errors(results)):
-        results += rules.check_heights(rig, tables)
-    # The truth may be the cause of what places of tags on bodies and odometry look like.
-    if not _errors(results):
-        results += rules.check_offsets(rig, recording.paths)
-        if "odometry" in tables and "truth" in tables and not _errors(results):
-            from trackwright.trackers.recordings.checks.imu import check_odometry
-
-            results += check_odometry(recording)
+    if "truth" in tables and not any(one.level == "error" and "the truth" in one.message for one in results):
+        results += rules.check_heights(rig, tables["truth"])
     return results
-
-
-def _errors(results: Iterable[CheckResult]) -> list[str]:
-    return [result.message for result in results if result.level == "error"]
 
 
 def _of_tables(recording: RecordingFolder, measured: Mapping[str, pl.DataFrame]) -> Iterator[CheckResult]:
@@ -83,25 +78,36 @@ def _of_tables(recording: RecordingFolder, measured: Mapping[str, pl.DataFrame])
         yield CheckResult("error", "tables", "no measurements, only truth; expected a table to track")
     yield from rules.check_rates(tables)
     yield from rules.unobserved(rig, measured, "anchor", "station")
-    if "fixes" in tables:
-        yield from check_fix_heights(rig, recording.rows("fixes"))
-    yield from check_geometry(rig, tables)
+    yield from rules.check_geometry(rig, measured)
+    if "fixes" in tables and (tags := rules.without_height(rig, tables["fixes"])):
+        message = f"neither z_m nor height_m in rig.toml: {len(tags)} of the tags ({listed(map(repr, tags))})"
+        yield CheckResult("warning", "fixes", f"{message}; track refuses them: give height_m under [tags.{tags[0]}]")
+    for name, kind in KINDS.items():
+        if name in measured and (share := repeated_share(readings(recording, name))) >= FEW:
+            of = "tag and pair of anchors" if kind.difference else " and ".join(kind.layout(()).ids)
+            message = f"repeated readings: {100 * share:.2g} % of the rows equal the previous row of the same {of}"
+            expected = "; expected one row per measurement" if share >= MANY else ""
+            yield CheckResult("warning" if share >= MANY else "info", name, message + expected)
 
 
-def _of_readings(
-    recording: RecordingFolder, name: str, full: bool, sound: bool, calibrated: bool
-) -> Iterator[CheckResult]:
-    """The likely mistakes in a table, against truth or of readings among themselves, and how readings are."""
-    view, mistakes = compared(recording, name), list[CheckResult]()
-    if view is not None and sound:
-        mistakes += check_against_truth(view, calibrated)
-    elif sound and not calibrated and (of_moments := moments(recording, name)) is not None:
-        mistakes += check_closing(of_moments)
-    yield from mistakes
-    yield from check_readings(recording, name) if full else ()
-    # A mistake has one cause: what errors with it look like is no second one.
-    found = check_residuals(view) if full and view is not None else ()
-    yield from (one for one in found if one.level == "info" or not _errors(mistakes))
+def _of_sensors(view: Compared) -> Iterator[CheckResult]:
+    """Bias, spread and outliers against truth of each anchor, station or tag, of the first `SHOWN`."""
+    errors, (unit, factor), digits = view.errors(), view.kind.shown, 1 if view.kind.angles else 2
+    if view.kind.difference:
+        errors = errors + view.medians(errors)[view.sensors.number[:, 1]]  # of the one anchor alone
+    names = [column.rpartition("_")[0] for column in view.columns]
+    for k, sensor in enumerate(view.ids[:SHOWN]):
+        e = factor * errors[view.group == k]
+        bias, away = known_median(e), np.abs(e - known_median(e))
+        spread = 1.4826 * known_median(away)
+        wild = np.sum(away > OUTLIER * spread, axis=0) / np.maximum(np.isfinite(e).sum(axis=0), 1)
+        parts = [
+            f"{name} bias {b:+.{digits}f}{unit}, spread {s:.{digits}f}{unit}, outliers {w:.2%}"
+            for name, b, s, w in zip(names, bias, spread, wild, strict=True)
+            if np.isfinite(b)
+        ]
+        if parts:
+            yield CheckResult("info", view.kind.name, f"{view.kind.noun} {sensor} against truth: {'; '.join(parts)}")
 
 
 def require_sound(recording: RecordingFolder, force: bool | None, calibrated: bool) -> list[str]:

@@ -1,43 +1,78 @@
-"""The most likely mistakes in a table: of many changes of readings, rig or truth, those with the smallest errors left.
+"""The most likely mistakes in a table: one list of changes of readings, rig or truth, ranked by the errors they leave.
 
-A change is named only where it explains nearly all rows, down to errors that need no explanation. Without a truth,
-errors are the contradictions of readings of one moment.
+A change is named only where it explains nearly all rows, down to errors that need no explanation. Errors are against
+truth, or without one against the positions that fit the readings of each moment best.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import combinations, permutations, product
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import significant
-from trackwright.trackers.recordings.checks import CheckResult, Level
-from trackwright.trackers.recordings.checks.changes import LATENCY_S, LEAST_SHIFT_M, Change, changes, delayed, fitted
-from trackwright.trackers.recordings.checks.compared import LEAST_MOMENTS, Compared, needed
-from trackwright.trackers.recordings.checks.readings import known_median
-from trackwright.trackers.recordings.checks.residuals import typical_delay
+from trackwright.trackers.recordings.checks import CheckResult
+from trackwright.trackers.recordings.checks.readings import Compared, known_median, robust_fit
 from trackwright.trackers.recordings.kinds import unit_of
 
-PENALTY, ALL_GAIN, GROUP_GAIN = 0.06, 0.65, 1.0
-"""Log ratios of errors: the price of a change and of each fitted number, the least gain of a change, and of one with
-numbers for single sensors."""
+PENALTY, GAIN, FITTED_GAIN, EXPLAINED, NEARLY, BROKEN, FEW = 0.06, 0.65, 1.0, 2.0, 0.75, 10.0, 0.34
+"""Log ratios of errors: price of a change and of each number, least gain, and that of numbers for one sensor; errors
+left, in those that need no explanation, and share of rows that a change has to bring below three of these; ratio of
+errors from which a sensor is broken, and share of sensors that may be broken or misplaced."""
 
-EXPLAINED, NEARLY, BROKEN, FEW_PLACES = 2.0, 0.75, 10.0, 0.25
-"""Errors left, in those that need no explanation, and share of rows that a change has to bring below three; ratio of
-the errors of one anchor to the others' from which it is broken; share of sensors whose places may be wrong."""
+COARSE, STARTS, ALIKE, MOST_SWAPPED, CLEAR = 240, 5, 1.2, 32, 1.5
+"""Readings of the first search, starts that go on, ratio of errors up to which fits do alike; most sensors that are
+exchanged, and the sum of log ratios from which two are."""
 
-LEAST_DELAY_S, DELAY_GAIN, DELAY_GROUPS = 0.1, 2 / 3, 24
-"""A warning of a delay needs so long a one, and errors that fall to this share; looked for in so many groups."""
+LEAST_CLOCK_S, LEAST_DELAY_S, LATENCY_S, LONGEST_DELAY_S, DELAY_GAIN = 0.05, 0.1, 1.0, 60.0, 2 / 3
+"""Delays: least beside a frame, least alone, most that is tracked, most that is tried; share to which errors fall."""
 
-CLOSING = {"m": (0.15, 0.3, 0.45, 0.08), "rad": (0.06, 0.12, 0.3, 0.03)}
-"""Contradictions of one moment: from which on one sensor is looked for; that need an explanation; that may remain with
-one; up to which all changes explain them."""
+FACTORS = {0.001: "millimetres", 0.01: "centimetres", 0.3048: "feet", 0.0254: "inches", 1000.0: "kilometres"}
+UNITS = {
+    "range_m": FACTORS | {0.5: "round-trip distances", 2.0: "halved distances"},
+    # Some place has all differences nearly zero, so that every small factor makes errors small.
+    "range_difference_m": {-1.0: "of the wrong sign", 0.2998: "nanoseconds or feet", 0.5: "doubled", 2.0: "halved"},
+    "x_m": FACTORS,
+}
+"""By the first column of a table, factors to its unit and what they undo."""
 
-SMALLER, CLEARER, ALIKE, NAMED = 0.67, 0.5, 1.1, 3
-"""Ratios of contradictions: from which a change explains large ones, that without one sensor, and up to which changes
-do alike, as in a symmetric rig; how many of these are named. On no real recording is that without one below 0.6."""
+ANGLES = {
+    "the sign of the azimuth flipped": ([0, 1], [-1, 1]),
+    "the sign of the elevation flipped": ([0, 1], [1, -1]),
+    "azimuth and elevation swapped": ([1, 0], [1, 1]),
+}
+"""Orders and factors of the columns."""
+
+Numbers = Float[np.ndarray, " p"]
+Apply = Callable[[Compared, Numbers], Compared]
+
+
+class Change(NamedTuple):
+    """What would explain errors: `words`, after "with", and `cause`, the mistake and its fix, may have `shown` numbers.
+
+    `apply`: the readings with it and its numbers, fitted from `starts` (s, p); `each`: of one sensor alone. `free`:
+    the numbers that are fitted. `least`: sizes of numbers from which one is a mistake. `of`: "offset" (which a
+    calibration removes), "place", "frame" (whose last number is a delay), "delay" or "height".
+    """
+
+    words: str
+    cause: str
+    apply: Apply
+    each: bool = False
+    starts: Callable[[Compared], Any] = lambda _: np.zeros((1, 0))
+    least: float | Sequence[float] = 0.0
+    of: str = ""
+    free: Sequence[int] | None = None
+    shown: Callable[[Numbers], Any] = lambda x: x
+
+    def told(self, text: str, x: Numbers) -> str:
+        """Words or cause with numbers."""
+        return text.format(*self.shown(x)) if len(x) else text
 
 
 class Found(NamedTuple):
@@ -46,94 +81,264 @@ class Found(NamedTuple):
     cost: float
     change: Change
     groups: np.ndarray
-    numbers: dict[int, np.ndarray]
+    numbers: list[np.ndarray]
     after: np.ndarray
 
 
-def check_against_truth(view: Compared, calibrated: bool = False, more: Sequence[Change] = ()) -> Iterator[CheckResult]:
-    """An error for each likely mistake; a warning of broken anchors, or where nothing is large, of the clocks.
+def changes(view: Compared) -> Iterator[Change]:
+    """All changes of the readings of a table; without a truth those of values, ids and heights."""
+    kind, what = view.kind, view.kind.name
+    # Without a truth one sensor has no errors of its own; the unit of a difference is a message.
+    each, true = bool(kind.sensors) and not kind.difference and view.moment is None, view.moment is None
+    for f, unit in UNITS.get(view.columns[0], {-1.0: "of the wrong sign"}).items():
+        apply = _linear("values", range(len(view.columns)), f)
+        yield Change(f"the {what} multiplied by {f:g}", f"{what} are {unit}; convert them", apply, each)
+    for words, (order, signs) in ANGLES.items() if kind.angles else ():
+        cause = "angles of another convention, or the station turned; correct them"
+        yield Change(words, cause, _linear("values", order, signs), each)
+    if kind.sensors and len(view.ids) <= MOST_SWAPPED:
+        yield from _exchanged(view)
+        yield from _of_rig(view) if true else ()
+    yield from _of_truth(view) if true and (kind.sensors or kind.position) else ()
+    if np.isfinite(view.heights).any() and kind.distance:
+        free = lambda v, _: v._replace(heights=np.full_like(v.heights, np.nan))  # noqa: E731
+        yield Change(
+            "the height of the tags left free",
+            "height_m, or z of the anchors, in rig.toml is wrong; measure again",
+            free,
+        )
 
-    `calibrated`: what a calibration of anchors and stations removes is no mistake. `more`: changes of this table alone.
+
+def _linear(field: str, order: Sequence[int], factors: Any) -> Apply:
+    return lambda view, _: view._replace(**{field: getattr(view, field)[:, list(order)] * factors})
+
+
+def _rig(**fields: np.ndarray) -> Apply:
+    return lambda view, _: view.changed(**fields)
+
+
+def _of_rig(view: Compared) -> Iterator[Change]:
+    """Changes of positions and orientations of anchors or stations, and offsets of their readings."""
+    kind, sensors = view.kind, view.sensors
+    for f, unit in FACTORS.items():
+        cause, apply = f"positions in rig.toml in {unit}; convert them", _rig(places=f * sensors.places)
+        yield Change(f"the positions of the {kind.noun}s multiplied by {f:g}", cause, apply)
+    if kind.angles:
+        from scipy.spatial.transform import Rotation  # a tenth of a second, and few recordings come here
+
+        q = np.roll(Rotation.from_matrix(sensors.axes).as_quat(scalar_first=True), 1, axis=1)
+        other, cause = Rotation.from_quat(q, scalar_first=True).as_matrix(), "the quaternion is meant so; correct it"
+        yield Change("rotation_wxyz read as x, y, z, w", cause, _rig(axes=other), True)
+        yield Change("rotation_wxyz inverted", cause, _rig(axes=np.swapaxes(sensors.axes, 1, 2)), True)
+        cause = "another orientation than rig.toml's, or another zero of the azimuth; correct rotation_wxyz or yaw_deg"
+        turns = lambda _: np.radians(np.arange(-180.0, 180.0, 5.0))[:, None]  # noqa: E731
+        for sign, words, of in ((1.0, "", "offset"), (-1.0, "its sign flipped and ", "")):
+            turned = lambda v, x, s=sign: v._replace(values=v.values * [s, 1.0] - [x[0], 0.0])  # noqa: E731
+            words = f"the azimuth {words}turned by {{:.0f}}°"
+            yield Change(words, cause, turned, True, turns, 0.26, of, None, np.degrees)
+    if kind.unit == "m":
+        words, medians = f"{{:+.2f}} m subtracted from the {kind.name}", lambda v: [known_median(v.errors())]
+        cause = f"an offset of the {kind.name}, as of an uncalibrated antenna delay; calibrate the anchors"
+        yield Change(words, cause, lambda v, x: v._replace(values=v.values - x), True, medians, 1.0, "offset")
+
+    def around(v: Compared) -> list[np.ndarray]:
+        own = v.sensors.places[v.group[0]]
+        return [own, np.median(v.sensors.places, axis=0), 2 * v.positions.mean(axis=0) - own]
+
+    def moved(v: Compared, x: Numbers) -> Compared:
+        return v.changed(places=np.where(np.arange(len(v.ids))[:, None] == v.group[0], x, v.sensors.places))
+
+    words, cause = "its position at ({:.2f}, {:.2f}, {:.2f}) m", "a wrong position in rig.toml; measure it again"
+    yield Change(words, cause, moved, True, around, of="place")
+
+
+def _of_truth(view: Compared) -> Iterator[Change]:
+    """Changes of the unit, the axes, the place and the clock of the truth."""
+    other = f"the truth has another origin or axes than {'the fixes' if view.kind.position else 'rig.toml'}"
+    for f, unit in FACTORS.items():
+        apply = _linear("positions", range(3), f)
+        yield Change(f"the truth multiplied by {f:g}", f"truth in {unit}, expected metres; convert it", apply)
+    for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
+        axes = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(order, signs, strict=True))
+        words, of = f"x, y, z of the truth read as {axes}", "height" * (axes == "x, y, -z")
+        fix, apply = f"{other}; bring both into one frame", _linear("positions", order, signs)
+        yield from [Change(words, fix, apply, of=of)] * (axes != "x, y, z")
+    target = view.sensors.places.mean(axis=0) if view.kind.sensors else known_median(view.values)
+    away, inf = np.nan_to_num(target - np.nanmean(view.positions, axis=0)), np.inf
+    middles, turns = (0 * away, away, away * [1, 1, 0]), np.radians(range(0, 360, 15))
+    turned, moved = "turned by {0:.1f}°, ", "shifted by ({1:.2f}, {2:.2f}, {3:.2f}) m and {4:.2f} s later"
+    for words, yaws, least, mirror in (
+        (f"the truth {moved}", [0.0], [inf, 0.4, 0.4, 0.4, inf], 1),
+        (f"the truth {turned}{moved}", turns, [0.07, inf, inf, inf, inf], 1),
+        (f"the truth mirrored in y, {turned}{moved}", turns, [0.0] * 5, -1),
+    ):
+        starts, free = [[yaw, *at, 0.0] for yaw in yaws for at in middles], range(len(yaws) == 1, 4)
+        yield _placed(view, words, other, starts, free, least, mirror, "frame")
+    if _moves(view):
+        longest, cause = (
+            min(LONGEST_DELAY_S, 0.45 * float(np.ptp(view.times))),
+            "the clocks of truth and readings differ",
+        )
+        starts = [[0.0, 0.0, 0.0, 0.0, delay] for delay in sorted(np.arange(-longest, longest, 0.5), key=abs)]
+        yield _placed(view, "the truth {4:.2f} s later", cause, starts, [4], 0.0, 1, "delay")
+
+
+def _moves(view: Compared) -> bool:
+    """Whether the truth moves by so much for so long that a clock shows."""
+    extent = max(float(np.linalg.norm(np.ptp(view.positions[view.tag == k], axis=0))) for k in np.unique(view.tag))
+    return extent >= 0.5 and float(np.ptp(view.times)) >= 2.0
+
+
+def _placed(
+    view: Compared, words: str, cause: str, starts: Any, free: Sequence[int], least: Any, mirror: int, of: str
+) -> Change:
+    """The truth mirrored in y or not, turned by x[0] about its centre, shifted by x[1:4], and x[4] s later."""
+    centre, signs = np.nanmean(view.positions, axis=0), [1, mirror, 1]
+
+    def apply(v: Compared, x: Numbers) -> Compared:
+        away = ((v.later(float(x[4])) if x[4] else v).positions - centre) * signs
+        return v._replace(positions=centre + x[1:4] + away @ about_vertical(x[0]).T)
+
+    def shown(x: Numbers) -> np.ndarray:
+        origin = centre + x[1:4] - about_vertical(x[0]) @ (centre * signs)
+        return np.round([np.degrees(np.remainder(x[0] + np.pi, 2 * np.pi) - np.pi), *origin, x[4]], 3) + 0.0
+
+    fix = "import it again with --align-truth, or --transform {1:.3f},{2:.3f},{3:.3f},{0:.3f},{4:.3f}"
+    fix = fix if mirror > 0 else "bring both into one frame"
+    return Change(words, f"{cause}; {fix}", apply, False, lambda _: starts, least, of, free, shown)
+
+
+def _exchanged(view: Compared) -> Iterator[Change]:
+    """Anchors or stations at the places of others: exchanges of two that clearly gain, one after another."""
+    few = view.thinned(max(COARSE, 60 * len(view.ids))) if view.moment is None else view
+
+    def apply(v: Compared, _: Any, order: np.ndarray) -> Compared:
+        return v.changed(places=view.sensors.places[order], axes=view.sensors.axes[order])
+
+    def cost(order: np.ndarray) -> float:
+        sizes = apply(few, (), order).sizes()
+        return float(np.log(np.where(np.isfinite(sizes), np.maximum(sizes, 1e-3), 1e3)).sum())
+
+    ids, order = np.array(view.ids), np.arange(len(view.ids))
+    for _ in ids:
+        others = [order[[{i: j, j: i}.get(k, k) for k in range(len(ids))]] for i, j in combinations(range(len(ids)), 2)]
+        best = min(others, key=cost, default=order)
+        if not cost(best) < cost(order) - CLEAR:
+            break
+        order = best
+    if len(moved := np.flatnonzero(order != np.arange(len(ids)))):
+        words = f"{view.kind.noun}s {listed(ids[moved])} swapped for {listed(ids[order[moved]])}"
+        cause = f"the ids of {view.kind.noun}s are mixed up; correct rig.toml or the table"
+        cause += ", of these or of their mirror images in the rig" * (view.moment is not None)
+        yield Change(words, cause, partial(apply, order=order))
+
+
+def about_vertical(yaw: float) -> Float[np.ndarray, "3 3"]:
+    """The matrix of a turn about z, rad."""
+    c, s = float(np.cos(yaw)), float(np.sin(yaw))
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _fitted(view: Compared, change: Change) -> Numbers:
+    """The numbers that fit the readings best: of the best starts on few readings the best, then on all of them.
+
+    Of places and frames that do alike, on either side of a plane, the nearest to the first start.
     """
-    kind, before, named = view.kind, view.sizes(), None
-    limit = kind.sizes("large", before.shape[1])
-    sound = np.all(~(before > limit), axis=1)
-    unknown = ~sound if not sound.all() else _upside_down(view, limit)
+    starts, few = np.array(change.starts(view), float), view.thinned(COARSE)
+    if not starts.size:
+        return starts[0]
+    free, known = list(change.free or range(starts.shape[1])), np.isfinite(few.values).mean() / 2
+
+    def cost(x: Numbers) -> float:
+        e = change.apply(few, x).errors()
+        return float(np.nanmean(np.log1p(np.abs(e)))) if np.isfinite(e).mean() > known else np.inf
+
+    def fit(part: Compared, x: Numbers, free: list[int], steps: int) -> tuple[float, Numbers]:
+        put = lambda n: x + np.bincount(free, n - x[free], len(x))  # noqa: E731
+        found, size = robust_fit(lambda n: change.apply(part, put(n)).errors(), x[free], steps)
+        return size, put(found)
+
+    costs = np.array([cost(x) for x in starts])
+    found = [fit(few, starts[k], free, 8) for k in np.argsort(costs, kind="stable")[:STARTS] if costs[k] < np.inf]
+    if not found:
+        return starts[0]
+    most = min(size for size, _ in found) * (ALIKE if change.of == "place" else 1.0)
+    x = min((x for size, x in found if size <= most), key=lambda x: float(np.linalg.norm(x - starts[0])))
+    clock = change.of == "frame" and _moves(view)
+    x = fit(view, x, free + [4] * clock, 4)[1]
+    # Fixes come late by the delay of the filter that made them.
+    if clock and (abs(x[4]) < LEAST_CLOCK_S or (view.kind.position and 0.0 < x[4] <= LATENCY_S)):
+        x[4] = 0.0
+    return x
+
+
+def check_mistakes(view: Compared, calibrated: bool = False) -> Iterator[CheckResult]:
+    """An error for each likely mistake; a warning of a broken anchor, or where nothing is large, of the clocks.
+
+    `calibrated`: what a calibration of anchors and stations removes is no mistake.
+    """
+    kind, before, limit, named = view.kind, view.sizes(), _limit(view), False
+    large = np.asarray((before > limit).any(axis=1))
+    unknown = large
     while unknown.any():
-        tried = [one for one in (*changes(view), *more) if one.each or named is None]
-        best = min(_found(view, tried, before, unknown, sound), key=lambda one: one.cost, default=None)
+        found = _found(view, [one for one in changes(view) if one.each or not named], before, unknown, ~large)
+        best = min(found, key=lambda one: one.cost, default=None)
         if best is None:
             break
-        named, unknown = best, unknown & ~best.groups
-        delay = float(best.numbers[0][4]) if best.change.of == "delayed" else 0.0
-        if delay and -LATENCY_S / 2 < delay <= LATENCY_S:
-            yield from _late(view, before, delay)
-        elif not _harmless(view, best) and not (calibrated and best.change.of == "offset"):
-            level: Level = "warning" if best.change.of == "mounting" else "error"
-            yield CheckResult(level, kind.name, _sentence(view, best))
-    if unknown.any() and named is None and sound.any() and kind.sensors:
-        one, others = (float(np.nanmedian((before / limit)[part])) for part in (unknown, sound))
-        if one > BROKEN * others and unknown.sum() <= max(FEW_PLACES * len(unknown), 1):
-            typical, rest = (_largest(view, before[part]) for part in (unknown, sound))
-            found = f"errors against truth{_of_groups(view, unknown)} are typically {typical}, of the others {rest}"
-            message = (
-                "and no change of units, place or ids explains them: wild or blocked readings; measure there again"
-            )
-            yield CheckResult("warning", kind.name, f"{found}, {message}")
-            return
-    if named is None and kind.averaged:
-        yield from _late(view, before, typical_delay(view.of_rows(view.group < DELAY_GROUPS)))
-
-
-def _upside_down(view: Compared, limit: np.ndarray) -> np.ndarray:
-    """All groups (G,) where a truth whose z points down is taken for a bias of each sensor, or none."""
-    if not view.kind.sensors or view.kind.common:
-        return np.zeros(len(view.ids), bool)
-    other = view._replace(positions=view.positions * [1.0, 1.0, -1.0])
-    before, after = view.sizes(bias=False), other.sizes(bias=False)
-    down = (known_median(before) > limit).any() and np.nanmean(np.log(before / np.maximum(after, 1e-3))) >= ALL_GAIN
-    return np.full(len(view.ids), bool(down))
+        named, unknown, x = True, unknown & ~best.groups, best.numbers[0]
+        late = best.change.of == "delay" and -LATENCY_S / 2 < x[4] <= LATENCY_S
+        # The height of fixes is often of no use, or mirrored in the plane of the anchors.
+        flat = best.change.of == "frame" and np.abs(x[[0, 1, 2, 4]]).max() < 0.4
+        harmless = kind.position and (best.change.of == "height" or flat or (late and x[4] > 0))
+        if not harmless and not (calibrated and best.change.of == "offset"):
+            yield CheckResult("warning" if late else "error", kind.name, _sentence(view, best))
+    if kind.sensors and not named and 0 < unknown.sum() <= max(FEW * len(unknown), 1) < len(unknown):
+        one, others = (float(np.nanmedian((before / limit)[part])) for part in (unknown, ~large))
+        if one > BROKEN * others:
+            typical, rest = (_typical(view, before[part]) for part in (unknown, ~large))
+            what = f"{_whose(view, unknown)} are typically {typical}, of the others {rest}, and no change explains them"
+            fix = "wild or blocked readings, or a wrong place; measure there again"
+            yield CheckResult("warning", kind.name, f"{what}: {fix}")
+    if not large.any() and kind.averaged and view.moment is None and _moves(view):
+        yield from _late(view, before)
 
 
 def _found(
-    view: Compared, tried: Iterable[Change], before: np.ndarray, large: np.ndarray, sound: np.ndarray
+    view: Compared, tried: Sequence[Change], before: np.ndarray, unknown: np.ndarray, sound: np.ndarray
 ) -> Iterator[Found]:
-    """The changes that explain the errors of all readings, or those of some of the groups that are `large`."""
-    hidden = not (before > view.kind.sizes("large", before.shape[1])).any()
-    before = view.sizes(bias=False) if hidden else before
-    usual = _share(view.of_rows(sound[view.group])) if sound.any() and not hidden else 1.0
+    """The changes that explain the errors of all readings, or those of some of the groups that are `unknown`."""
+    usual = _share(view.of_rows(sound[view.group])) if sound.any() else 1.0
+    floor, limit = view.kind.sizes("floor", before.shape[1]), _limit(view)
     for change in tried:
-        groups, gains, numbers, after = np.zeros(len(large), bool), 0.0, dict[int, np.ndarray](), np.array(before)
-        for k in np.flatnonzero(large).tolist() if change.each else [0]:
-            part = view.of_rows(view.group == k) if change.each else view
-            if not len(part.group) or (change.of == "place" and np.linalg.norm(np.ptp(part.positions, axis=0)) < 1.0):
-                continue
-            x = fitted(part, change)
+        groups, gains, numbers, after = np.zeros(len(unknown), bool), 0.0, list[np.ndarray](), np.array(before)
+        for of in np.eye(len(unknown), dtype=bool)[unknown] if change.each else [~groups]:
+            part = view.of_rows(of[view.group])
+            x = _fitted(part, change)
             other = change.apply(part, x)
-            sizes = other.sizes(bias=not hidden)
-            of = np.arange(len(large)) == k if change.each else np.ones(len(large), bool)
-            gain = _gain(view, change, before[of], sizes[of])
-            if gain is not None and change.wrong(x) and _share(other) >= min(NEARLY, 0.9 * usual):
-                groups, gains, numbers[k] = groups | of, gains + gain * of.sum(), x
-                after[of] = sizes[of]
-        if groups.any() and not (change.of == "place" and groups.sum() > max(FEW_PLACES * len(groups), 1)):
-            count = sum(np.count_nonzero(x[list(change.free)] if len(change.free) else x) for x in numbers.values())
-            yield Found(PENALTY * (1 + count) - gains / len(large), change, groups, numbers, after)
+            left, known = other.sizes()[of], np.isfinite(before[of])
+            # A change with which the errors are unknown improves nothing.
+            left = np.where(np.isfinite(left), left, np.fmax(before[of], 1e3))
+            fall = np.where(known, np.log(np.maximum(before[of], floor) / np.maximum(left, floor)), 0.0)
+            matters = known & ((before[of] > limit) | (left > limit))
+            # Places of anchors and of tags have enough freedom to take up a part of any error.
+            most = limit if change.of == "place" or view.moment is not None else EXPLAINED * limit
+            least = FITTED_GAIN if change.each and len(x) else GAIN
+            enough = matters.any() and fall[matters].mean() >= least and (left <= most)[known].mean() >= NEARLY
+            if (
+                enough
+                and (np.abs(x) >= change.least).any() | (not len(x))
+                and _share(other) >= min(NEARLY, 0.9 * usual)
+            ):
+                groups, gains, after[of] = groups | of, gains + fall.sum() / known.sum() * of.sum(), left
+                numbers.append(x)
+        if groups.any() and not (change.of == "place" and groups.sum() > max(FEW * len(groups), 1)):
+            cost = PENALTY * (1 + sum(map(np.count_nonzero, numbers))) - gains / len(unknown)
+            yield Found(cost, change, groups, numbers, after)
 
 
-def _gain(view: Compared, change: Change, before: np.ndarray, sizes: np.ndarray) -> float | None:
-    """By how much the logarithms of sizes of errors fall; None where some that matter do not, or too little."""
-    floor, limit = (view.kind.sizes(which, before.shape[1]) for which in ("floor", "large"))
-    # A change with which the errors are unknown improves nothing.
-    known, after = np.isfinite(before), np.where(np.isfinite(sizes), sizes, np.fmax(before, 1e3))
-    fall = np.where(known, np.log(np.maximum(before, floor) / np.maximum(after, floor)), 0.0)
-    # Errors that were small and stay small neither need an explanation nor contradict one.
-    matters = known & ((before > limit) | (after > limit)) & (np.abs(fall) > 0.02 if change.each else True)
-    if not matters.any() or fall[matters].mean() < (GROUP_GAIN if change.each and change.starts else ALL_GAIN):
-        return None
-    # A place has enough freedom to take up a part of any error.
-    most = limit if change.of == "place" else EXPLAINED * limit
-    return float(fall.sum() / known.sum()) if (after <= most)[known].mean() >= NEARLY else None
+def _limit(view: Compared) -> np.ndarray:
+    """Errors (m,) that need no explanation; half of them against positions that take up a part of the errors."""
+    return view.kind.sizes("large", len(view.columns)) * (1.0 if view.moment is None else 0.5)
 
 
 def _share(view: Compared) -> float:
@@ -144,92 +349,45 @@ def _share(view: Compared) -> float:
     return float((np.abs(errors) <= most)[known].mean()) if known.any() else 0.0
 
 
-def _harmless(view: Compared, found: Found) -> bool:
-    """Whether a change is no mistake: heights of fixes are often of no use, or mirrored in the plane of the anchors."""
-    if found.change.of == "shifted" and view.kind.position:
-        x = found.numbers[0] - [0.0, *np.nanmean(view.positions, axis=0), 0.0]
-        return bool(np.linalg.norm(x[1:3]) < LEAST_SHIFT_M and x[4] == 0.0)
-    return found.change.of == "harmless"
+def _late(view: Compared, before: np.ndarray) -> Iterator[CheckResult]:
+    """A warning of clocks that differ by little, where errors less their medians are clearly smaller without it."""
 
+    def errors(x: Numbers) -> np.ndarray:
+        e = view.later(float(x[0])).errors()
+        return np.asarray(e - view.medians(e)[view.group])
 
-def _late(view: Compared, before: np.ndarray, delay: float) -> Iterator[CheckResult]:
-    """A warning of a difference of the clocks that is small enough to track, and makes errors larger."""
+    delay = float(robust_fit(errors, np.zeros(1))[0][0])
+    after, floor = view.later(delay).sizes(), view.kind.sizes("floor", before.shape[1])
+    worst, left = (np.nanmedian(np.nanmax(sizes / floor, axis=1)) for sizes in (before, after))
     # Fixes come late by the delay of the filter that made them.
-    if abs(delay) >= LEAST_DELAY_S and not (view.kind.position and delay > 0):
-        x, after = np.array([0.0, *np.nanmean(view.positions, axis=0), delay]), view.later(delay).sizes()
-        ratio = np.nanmedian(after / np.maximum(before, view.kind.sizes("floor", before.shape[1])))
-        if ratio <= DELAY_GAIN:
-            found = Found(0.0, delayed(view), np.ones(len(view.ids), bool), {0: x}, after)
-            yield CheckResult("warning", view.kind.name, _sentence(view, found))
+    if (
+        abs(delay) >= LEAST_DELAY_S
+        and not (view.kind.position and delay > 0)
+        and left < DELAY_GAIN * worst > DELAY_GAIN
+    ):
+        (change,) = (one for one in _of_truth(view) if one.of == "delay")
+        found = Found(0.0, change, np.ones(len(view.ids), bool), [np.array([0.0, 0.0, 0.0, 0.0, delay])], after)
+        yield CheckResult("warning", view.kind.name, _sentence(view, found))
 
 
 def _sentence(view: Compared, found: Found) -> str:
-    change, x = found.change, found.numbers[min(found.numbers)]
-    parts = [f" ({text})" if (text := change.shown(x)) else "" for x in found.numbers.values()]
-    where = _of_groups(view, found.groups, parts) if change.each else ""
-    words, cause = change.told(x) if change.told else (change.words + parts[0] * (not change.each), change.cause)
-    sizes = view.sizes(bias=False)
-    large = found.groups & (sizes > view.kind.sizes("large", sizes.shape[1])).any(axis=1)
-    before, after = (_largest(view, one[large if large.any() else found.groups]) for one in (sizes, found.after))
-    return f"errors against truth{where} are typically {before}, and {after} with {words}: {cause}"
+    change, sizes = found.change, view.sizes()
+    words = listed(dict.fromkeys(change.told(change.words, x) for x in found.numbers))
+    large = found.groups & (sizes > _limit(view)).any(axis=1)
+    before, after = (_typical(view, one[large if large.any() else found.groups]) for one in (sizes, found.after))
+    whose = _whose(view, found.groups if change.each else ~found.groups)
+    return f"{whose} are typically {before}, and {after} with {words}: {change.told(change.cause, found.numbers[0])}"
 
 
-def _largest(view: Compared, sizes: np.ndarray) -> str:
+def _typical(view: Compared, sizes: np.ndarray) -> str:
     """The typical size of the largest errors of groups."""
     unit, factor = ("°", np.degrees(1.0)) if view.kind.angles else (f" {unit_of(view.columns[0])}", 1.0)
     largest = np.nanmax(sizes[np.isfinite(sizes).any(axis=1)], axis=1)
     return f"{significant(factor * float(np.median(largest)), 2)}{unit}"
 
 
-def _of_groups(view: Compared, groups: np.ndarray, parts: list[str] | None = None) -> str:
-    chosen, noun = np.flatnonzero(groups).tolist(), view.kind.noun
-    if len(chosen) == len(groups) > 1 and not any(parts or ()):
-        return f" of all {len(chosen)} {noun}s"
-    names = [view.ids[k] + part for k, part in zip(chosen, parts or [""] * len(chosen), strict=True)]
-    return f" of {noun}{'s' if len(names) > 1 else ''} {listed(names, 6)}"
-
-
-def check_closing(view: Compared) -> Iterator[CheckResult]:
-    """An error where readings of one moment contradict each other and one change explains it, as of units or ids.
-
-    A warning where they do not without one anchor or station, or elsewhere or turned, and where nothing explains it.
-    """
-    kind, before = view.kind, view.closing()
-    one, large, remaining, nothing = CLOSING[kind.unit]
-    unit, factor = kind.shown
-    if before <= one:
-        return
-    tried = list[tuple[float, str, str]]()
-    for change in changes(view):
-        other = change.apply(view, np.zeros(0))
-        tried.append((other.closing(), change.words, change.cause))
-        for k, name in enumerate(view.ids if change.each else ()):
-            values = np.where((view.group == k)[:, None], other.values, view.values)
-            part = view._replace(values=values).closing()
-            tried.append((part, f"{change.words} of {kind.noun} {name}", change.cause))
-    tried.sort()
-    least = tried[0][0]
-    message = f"readings of one moment contradict each other by {significant(factor * before, 2)}{unit}, and "
-    left, k = min(_without_each(view), default=(np.inf, 0))
-    if left <= CLEARER * min(least, before):
-        message += (
-            f"by {significant(factor * left, 2)}{unit} without {kind.noun} {view.ids[k]}: what rig.toml says of it is "
-        )
-        yield CheckResult("warning", kind.name, f"{message}wrong, or its readings are; measure it again")
-    elif least <= min((SMALLER if before > large else CLEARER) * before, remaining):
-        best = [one for one in tried if one[0] <= max(ALIKE * least, nothing)][:NAMED]
-        causes = "; or ".join(dict.fromkeys(cause for _, _, cause in best))
-        message += f"by {significant(factor * least, 2)}{unit} with {', or '.join(words for _, words, _ in best)}: "
-        yield CheckResult("error", kind.name, message + causes)
-    elif before > max(large, 2 * remaining):
-        unexplained = "no change of units, signs or ids explains it; check positions and rotations in rig.toml"
-        yield CheckResult("warning", kind.name, message + unexplained)
-
-
-def _without_each(view: Compared) -> Iterator[tuple[float, int]]:
-    """What contradiction remains without each anchor or station, where the others are enough."""
-    for k in range(len(view.ids)):
-        rest = view.of_rows((view.sensors.number != k).all(axis=1))
-        enough = np.bincount(rest.moment, minlength=len(view.heights)) >= needed(view.kind, view.heights)
-        if enough.sum() >= LEAST_MOMENTS:
-            yield rest.of_rows(enough[rest.moment]).closing(), k
+def _whose(view: Compared, groups: np.ndarray) -> str:
+    """The errors of some of the groups, or of all readings where none is chosen."""
+    noun, names = view.kind.noun, [name for name, chosen in zip(view.ids, groups, strict=True) if chosen]
+    of = f" of {noun}{'s' if len(names) > 1 else ''} {listed(names)}" if names else ""
+    return f"errors against {'truth' if view.moment is None else 'the positions that fit best'}{of}"

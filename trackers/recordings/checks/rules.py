@@ -1,39 +1,37 @@
 """What tables and the rig alone tell: a check of values is a row of a table, everything else a short function.
 
-A stream is the rows of one sensor and one tag in one table; order, gaps and outliers are defined along a stream.
+A stream is the rows of one sensor and one tag in one table; gaps and outliers are defined along a stream.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S, moment, place_in_time, span, zero_of
+from trackwright.trackers.core.data.seconds import moment, span
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
+from trackwright.trackers.core.model.rig import SAY_SIDE, THIN, Rig
 from trackwright.trackers.core.wording import counted, significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
-from trackwright.trackers.recordings.columns import QUATERNION, TableRows, TruePaths, TruthStatus
-from trackwright.trackers.recordings.kinds import KINDS, Kind, duplicates_line, first_time, table_kinds
+from trackwright.trackers.recordings.columns import QUATERNION
+from trackwright.trackers.recordings.kinds import KINDS, Kind, duplicates_line, table_kinds
 
 Tables = Mapping[str, pl.DataFrame]
 Results = Iterator[CheckResult]
-Place = Callable[[Mapping[str, Any]], str]
 C, DT, T, X, SIZE, BOUND = pl.col, pl.col("dt"), pl.col("t_s"), pl.col("x"), pl.col("x").abs(), pl.col("bound")
-JUMP_S, YEAR_S, NANOSECOND_M, FAR_M = 1e7, 31_557_600.0, 0.2998, 500.0
-"""Step that is a jump of the clock and no gap, s; a year, s; metres a nanosecond; reach of indoor radio, m."""
+JUMP_S, YEAR_S, FAR_M, OFF_M, LEAST_STAMPS = 1e7, 31_557_600.0, 500.0, 0.5, 10
+"""Step that is a jump of the clock and no gap, s; a year, s; reach of indoor radio, m; by how much heights are off by a
+mistake, m; rows that cannot all have one time."""
 
-LEAST_JUMP = {"m": 1.0, "mps": 5.0, "mps2": 20.0, "radps": 5.0}
+LEAST_JUMP = {"m": 1.0, "mps": 10.0, "mps2": 40.0, "radps": 10.0}
 """Least jumps of outliers by unit: smaller ones are within reach of a person, cart or drone between two rows."""
 
-STREAMS_SHOWN, LEAST_STAMPS, OFF_M, OFFSET_M, POINTS = 24, 10, 0.5, 0.1, 400
-"""Streams of a table with a line each; rows that cannot all have one time; by how much heights, and places of tags on
-a body (m, and share), are off by a mistake; places of a path that are looked at."""
+GRAVITY_IN = {9.81: "m/s²", 1.0: "multiples of g", 32.2: "ft/s²", 1e3: "thousandths of g or cm/s²", 9.81e3: "mm/s²"}
 
 
 class Rule(NamedTuple):
@@ -50,32 +48,13 @@ def _near(size: float) -> pl.Expr:
     return (SIZE.median() - size).abs() <= 0.15 * size
 
 
-def _spike(reach: int) -> pl.Expr:
-    """Beyond both neighbours in the stream by ten times the scatter of its steps."""
-    sides = [X.shift(way).over("stream") for way in (reach, -reach)]
-    far = (X - X.clip(pl.min_horizontal(sides), pl.max_horizontal(sides))).abs() > (14.826 * C("steps")).clip(BOUND)
-    return far.fill_null(False) & pl.all_horizontal(side.is_not_null() for side in sides)
-
-
 _BEYOND, _TYPICAL = SIZE > BOUND + 1e-3, "typical {name} {typical:,.4g} "  # with room for π rounded up in text
-_TURNED = (
-    X.is_between(-1e-3, 2 * math.pi + 1e-3) & (((X + math.pi) % (2 * math.pi) - math.pi).abs() <= BOUND + 1e-3)
-).all()
-_MANY = (C("away") > (14.826 * C("away").median().over("stream")).clip(2 * BOUND)) & (C("steps") > 3 * BOUND)
-_GRAVITY_IN = {"multiples of g": 1.0, "ft/s²": 32.2, "thousandths of g or cm/s²": 1000.0, "mm/s²": 9810.0}
-_ODD = ~pl.any_horizontal(*map(_near, (9.81, *_GRAVITY_IN.values())))
+_TURN, _LIES = 2 * math.pi, "{share:.0%} of {name} lie beyond ±{bound:.3g}: looks like "
+_TURNED = (X.is_between(-1e-3, _TURN + 1e-3) & (((X + _TURN / 2) % _TURN - _TURN / 2).abs() <= BOUND + 1e-3)).all()
 _LONG, _NARROW = SIZE.median() > BOUND, (X.std() < 0.05 * SIZE.median()).fill_null(False)
-_FAR = (SIZE * NANOSECOND_M > BOUND).mean() > 0.1
-_LIES, _VALUES = (
-    "{share:.0%} of {name} lie beyond ±{bound:.3g}: looks like ",
-    "values of {name} beyond ±{bound:.3g}: {n}; ",
-)
-_EXCEED = "{share:.0%} of {name} exceed the distance of their anchors: looks like "
 
 UNITS = (
-    Rule("error", "phases", SIZE.median() > 2 * math.pi, _TYPICAL + "rad: looks like degrees, expected (-π, π]"),
-    Rule("warning", "phases", _BEYOND & (SIZE.median() <= 2 * math.pi), "{name} are not wrapped to (-π, π]; harmless, "
-         "since trackers wrap phase differences", 0.01),
+    Rule("error", "phases", SIZE.median() > _TURN, _TYPICAL + "rad: looks like degrees, expected (-π, π]"),
     Rule("error", "gyro", SIZE.quantile(0.95) > 35.0,  # the full scale of common gyroscopes
          "turn rates beyond 35 rad/s: looks like degrees per second, expected radians"),
     Rule("error", "rad", _BEYOND & ~_TURNED, _LIES + "degrees, expected radians", 0.1),
@@ -84,97 +63,83 @@ UNITS = (
     # Places in millimetres are as far from one another as from the rig; places in another frame are not.
     Rule("error", "place", _LONG & _NARROW, _TYPICAL + "m: looks like another frame than the rig's, or millimetres"),
     Rule("error", "place", _LONG & ~_NARROW, _TYPICAL + "m{site}: looks like centimetres or millimetres"),
-    Rule("error", "m", SIZE.median() > 7.5 * BOUND, _TYPICAL + "m{site}: looks like millimetres"),
-    Rule("error", "m", _LONG & (SIZE.median() <= 7.5 * BOUND), _TYPICAL + "m{site}: looks like centimetres"),
-    # A difference in seconds is at most 1e-6 in 300 m; in metres some exceed their resolution.
-    Rule("error", "difference", SIZE.max() < 1e-5, "{name} below 1e-5 m: looks like seconds, expected metres"),
-    Rule("error", "difference", (SIZE > BOUND) & ~_FAR, _EXCEED + "nanoseconds or feet, expected metres", 0.1),
-    Rule("error", "difference", (SIZE > BOUND) & _FAR, _EXCEED + "centimetres or millimetres, or other anchors", 0.1),
-    Rule("info", "gravity", _near(9.81), "measured gravity is {typical:.4g} m/s²"),
+    Rule("error", "m", _LONG, _TYPICAL + "m{site}: looks like centimetres or millimetres"),
+    # A signal takes 1e-6 s for 300 m; in metres some values exceed their resolution.
+    Rule("error", "m", SIZE.max() < 1e-5, "{name} below 1e-5 m: looks like seconds, expected metres"),
     Rule("warning", "free", _near(9.81), _TYPICAL + "m/s²: with gravity, but quaternion columns imply none"),
-    *(Rule("error", "gravity", _near(size), _TYPICAL + f"m/s²: looks like {unit}, expected m/s² with gravity (9.81)")
-      for unit, size in _GRAVITY_IN.items()),
-    Rule("error", "gravity", _ODD & (SIZE.median() < 9.81 / 2), _TYPICAL + "m/s², expected 9.81: gravity looks "
-         "subtracted; export the raw acceleration, or the attitude too, as qw, qx, qy, qz"),
-    Rule("error", "gravity", _ODD & (SIZE.median() > 2 * 9.81), _TYPICAL + "m/s², expected 9.81: looks like another "
-         "unit; `trackwright import` converts the common ones"),
-    Rule("warning", "gravity", _ODD & SIZE.median().is_between(9.81 / 2, 2 * 9.81), _TYPICAL + "m/s², expected 9.81"),
+    *(Rule("info" if size == 9.81 else "error", "gravity", _near(size), _TYPICAL + f"m/s²: gravity in {unit}, expected "
+           "m/s²") for size, unit in GRAVITY_IN.items()),
+    Rule("error", "gravity", ~pl.any_horizontal(*map(_near, GRAVITY_IN)), _TYPICAL + "m/s², expected 9.81: another "
+         "unit, or gravity looks subtracted; export the raw acceleration, or the attitude too, as qw, qx, qy, qz"),
 )  # fmt: skip
 """What sizes of values say of their units; `bound`: of angles and rates, of a length in metres at this site."""
 
 ANOMALIES = (
-    Rule("warning", "rad phases", _BEYOND & _TURNED, _VALUES + "from 0 to 2π, not wrapped: trackers wrap them"),
-    Rule("warning", "rad phases", _BEYOND & ~_TURNED, _VALUES + "degrees, or not wrapped"),
+    Rule("warning", "rad phases", _BEYOND & _TURNED,
+         "values of {name} beyond ±{bound:.3g}: {n}; from 0 to 2π, not wrapped: trackers wrap them"),
+    Rule("warning", "rad phases", _BEYOND & ~_TURNED,
+         "values of {name} beyond ±{bound:.3g}: {n}; degrees, or not wrapped"),
     Rule("warning", "quaternion", (X.abs() - 1).abs() > 0.01, "quaternions more than 1 % from unit length: {n}"),
     Rule("warning", "positive", X < 0.0, "negative values of {name}: {n}"),
-)  # fmt: skip
-ALONG = (
     Rule("warning", "t_s", (DT > 1) & (5 * DT.filter(DT > 0).median().over("stream") < DT) & (DT < JUMP_S),
          "gaps longer than 1 s: {n}, the longest {dt:.3g} s before {place}"),
-    # Where many are wild, so are the neighbours of most.
-    Rule("warning", " ".join(LEAST_JUMP), _MANY.fill_null(False) | _spike(1) | _spike(2)  # 2 finds two in a row
-         | ((100 * SIZE.median().over("stream") < SIZE) & (SIZE > BOUND)),
+    # Also where many are wild, and so are the neighbours of most.
+    Rule("warning", " ".join(LEAST_JUMP), C("away") > (14.826 * C("away").median().over("stream")).clip(BOUND),
          "outliers of {name}: {n}, the worst {x:.4g} at {place}"),
 )  # fmt: skip
-"""Of values along their streams; `bound`: the least jump."""
+"""Of values by themselves, then along their streams: `bound` is the least jump, `away` the distance from neighbours."""
 
 
-def broken(
-    rules: Iterable[Rule], table: str, name: str, of: str, rows: pl.DataFrame, place: Place = str, site: str = ""
-) -> Results:
-    """The broken rules of the values `x`, of a nature, in rows with their `bound`; `place`: of a row, in words."""
+def broken(rules: Iterable[Rule], table: str, name: str, of: str, rows: pl.DataFrame, site: str = "") -> Results:
+    """The broken rules of the values `x`, of a nature, in rows with their `bound`."""
     rows = rows.drop_nulls("x")
     for rule in rules if len(rows) else ():
         if of in rule.of.split() and len(found := rows.filter(rule.broken)) > rule.above * len(rows):
             worst = found.sort("dt" if of == "t_s" else SIZE).row(-1, named=True)
-            facts = worst | {"n": len(found), "share": len(found) / len(rows), "typical": rows["x"].abs().median()}
-            message = rule.sentence.format(**facts, site=site, name=name, place=place(worst))
+            sensors = ", ".join(f"{c} {worst[c]}" for c in worst if c.startswith(("tag", "anchor", "station")))
+            numbers = {"n": len(found), "share": len(found) / len(rows), "typical": rows["x"].abs().median()}
+            place = f"t_s {worst.get('t_s', 0.0):.3f} ({sensors})"
+            message = rule.sentence.format(**worst | numbers, name=name, site=site, place=place)
             yield CheckResult(rule.level, table, message)
 
 
 def check_units(rig: Rig, tables: Tables) -> Results:
     """Values and places of a size that suggests another unit, or another site."""
-    knots = np.zeros((0, 2)) if rig.path_knots is None else np.asarray(rig.path_knots)
-    names = [*(f"anchor {name}" for name in rig.anchors), *(f"station {name}" for name in rig.stations)]
-    places = np.array([*(place[:2] for place in rig.places()), *knots]).reshape(-1, 2)
-    across = float(np.linalg.norm(np.ptp(places, axis=0))) if len(places) > 1 else None
-    far = np.abs(places - np.median(places, axis=0)).max(axis=1) > ELSEWHERE_M if len(places) > 1 else []
-    for name in dict.fromkeys(np.array([*names, *["path_knots"] * len(knots)])[far].tolist()):
-        yield CheckResult("error", "rig.toml", f"{name}: more than 100 km from the others; correct its coordinates")
-    distances = [tables[name][kind.columns[0].name] for name, kind in KINDS.items() if name in tables and kind.distance]
-    if len(rig.anchors) > 1 and distances and (typical := distances[0].abs().median()) is not None:
+    named = {**rig.anchors, **{name: station.position for name, station in rig.stations.items()}}
+    knots = np.zeros((0, 2)) if rig.path_knots is None else rig.path_knots
+    places = np.array([*(place[:2] for place in named.values()), *knots]).reshape(-1, 2)
+    away = np.linalg.norm(places - np.median(places, axis=0), axis=1) if len(places) > 2 else np.zeros(0)
+    for name, one in zip(named, away, strict=False):
+        if one > max(FAR_M, 20 * float(np.median(away))):
+            yield CheckResult("error", "rig.toml", f"{name}: {one:,.5g} m from the others; correct its coordinates")
+    lengths = [tables[name][kind.columns[0].name] for name, kind in KINDS.items() if name in tables and kind.distance]
+    if len(rig.anchors) > 1 and lengths and (typical := lengths[0].abs().median()) is not None:
         at = np.stack(list(rig.anchors.values()))
         apart = float(np.median(np.sort(np.linalg.norm(at[:, None] - at, axis=-1), axis=1)[:, 1]))
         if apart >= max(100 * float(typical), FAR_M):  # type: ignore[arg-type]
-            lengths = f"anchors {apart:,.5g} m apart, ranges of {float(typical):.3g} m"  # type: ignore[arg-type]
-            yield CheckResult("error", "rig.toml", f"{lengths}: looks like millimetres, expected metres")
+            message = f"anchors {apart:,.5g} m apart, ranges of {float(typical):.3g} m: looks like millimetres"  # type: ignore[arg-type]
+            yield CheckResult("error", "rig.toml", f"{message}, expected metres")
+    across = float(np.linalg.norm(np.ptp(places, axis=0))) if len(places) > 1 else None
     site = "" if across is None else f", the rig is {significant(across, 3)} m across"
-    length = FAR_M if across is None else 20 * max(across, 1.0)
     for table, rows in tables.items():
-        for name, of, x, bound in _series(table_kinds()[table], rows, rig, length):
-            yield from broken(UNITS, table, name, of, rows.select(x=x, bound=bound), site=site)
+        for name, of, x, bound in _series(table_kinds()[table], rows, rig, 20 * max(across or FAR_M / 20, 1.0)):
+            yield from broken(UNITS, table, name, of, rows.select(x=x, bound=bound), site)
 
 
 def _series(kind: Kind, rows: pl.DataFrame, rig: Rig, length: float) -> Iterator[tuple[str, str, pl.Expr, pl.Expr]]:
-    """Name, nature, values and bound of what is judged together; `length`: that which is too long at this site."""
+    """Name, nature, values and bound of what is judged together; `length`: what is too long at this site."""
     norm = lambda *of: pl.sum_horizontal(C(*of) ** 2, ignore_nulls=False).sqrt()  # noqa: E731
     attitude, limit = {*QUATERNION} <= {*rows.columns}, pl.lit(length)
     if attitude:
         yield "quaternion", "quaternion", norm(*QUATERNION), limit
     if kind.numbered:
-        columns = kind.layout(rows.columns).values
-        yield kind.name, "phases", pl.concat_list(columns).explode(), pl.lit(math.pi)
+        yield kind.name, "phases", pl.concat_list(kind.layout(rows.columns).values).explode(), pl.lit(math.pi)
     elif kind.position:
         x, y, _ = np.mean(rig.places() or [np.zeros(3)], axis=0)
         yield "distance from the rig", "place", ((C("x_m") - x) ** 2 + (C("y_m") - y) ** 2).sqrt(), limit
     elif kind.unit == "mps2":  # quaternions are the format's sign that gravity is subtracted
         yield "acceleration is", "free" if attitude else "gravity", norm("^accel_._mps2$"), limit
         yield "turn rates", "gyro", pl.concat_list("^gyro_._radps$").explode(), limit
-    elif kind.difference:
-        x = {name: [C(name).cast(pl.String).replace_strict({k: p[axis] for k, p in rig.anchors.items()}, default=None)
-             for axis in range(3)] for name in kind.sensors}  # fmt: skip
-        apart = pl.sum_horizontal((a - b) ** 2 for a, b in zip(*x.values(), strict=True)).sqrt()
-        yield kind.columns[0].name, "difference", C(kind.columns[0].name), apart + kind.columns[0].bias
     else:
         for column in kind.columns:
             yield column.name, column.unit, C(column.name), limit if column.unit == "m" else pl.lit(column.bound)
@@ -188,72 +153,49 @@ def streams(table: pl.DataFrame, ids: Sequence[str]) -> pl.DataFrame:
     return numbered.sort("stream", "t_s", maintain_order=True).with_columns(dt=T.diff().over("stream"))
 
 
-def with_value(table: pl.DataFrame, columns: Sequence[str]) -> pl.DataFrame:
-    """The rows with any of the values."""
-    return table.filter(pl.any_horizontal(C(*columns).is_not_null()))
-
-
 def check_rows(rig: Rig, tables: Tables) -> Results:
     """What reading notices too: unknown tags, impossible values, clocks that jump, repeats, gaps and outliers."""
-    zero, outliers = zero_of(first_time(tables)), list[CheckResult]()
     for name, table in tables.items():
         kind = table_kinds()[name]
         ids, values, *_ = kind.layout(table.columns)
         if unknown := [tag for tag in table["tag"].unique(maintain_order=True) if rig.tags and tag not in rig.tags]:
-            named = f"{len(unknown)} ({listed(map(repr, unknown))})"
-            yield CheckResult("warning", name, f"tags that are not in rig.toml: {named}")
+            what = f"tags that are not in rig.toml: {len(unknown)} ({listed(map(repr, unknown))})"
+            yield CheckResult("warning", name, what)
         for label, of, x, bound in _series(kind, table, rig, FAR_M):
-            yield from broken(ANOMALIES, name, label, of, table.select(x=x, bound=bound))
-        yield from _jumps(name, table["t_s"].sort().to_numpy())
-        rows = streams(with_value(table, values).select("t_s", *ids, *values), ids)
+            yield from broken(ANOMALIES[:4], name, label, of, table.select(x=x, bound=bound))
+        times = table["t_s"].sort().to_numpy()
+        for k in np.flatnonzero(np.diff(times) > JUMP_S).tolist():
+            before, after = times[k : k + 2].tolist()
+            what = f"the clock jumps by {(after - before) / YEAR_S:.3g} years at row {k + 2} in order of time, from "
+            what += f"{before:.10g} to {after:.10g} s: make two recordings"
+            zeros = f"times of 0 in {k + 1} rows, the others from {after:.10g} s: missing; remove the rows"
+            yield CheckResult("warning", name, zeros if times[0] == before == 0.0 else what)
+        rows = streams(table.filter(pl.any_horizontal(C(*values).is_not_null())).select("t_s", *ids, *values), ids)
         repeated = rows.filter((DT == 0) | (DT.shift(-1) == 0))
         if exact := repeated.height - repeated.n_unique(["stream", "t_s", *values]):
             yield CheckResult("warning", *duplicates_line(name, exact).split(": ", 1))
         if again := repeated.height - repeated.n_unique(["stream", "t_s"]) - exact:
-            few = "; the stamps have lost digits" if again > rows.height / 2 else ""
-            what = f"rows with the time of another row of the same sensor and tag: {again}; kept{few}"
-            yield CheckResult("warning", name, what)
-        if name == "truth":
-            continue
+            what = f"rows with the time of another row of the same sensor and tag: {again}; kept"
+            yield CheckResult("warning", name, what + "; the stamps have lost digits" * (again > rows.height / 2))
         # Which anchors a message has in common changes from one to the next.
-        of_gaps = ids[:1] if kind.difference else ids
-        along = streams(rows.drop("stream", "dt"), of_gaps) if kind.difference else rows
-        yield from broken(ALONG, name, "t_s", "t_s", along.with_columns(x=T), _place(of_gaps, zero))
-        for column in values:
-            least, x = LEAST_JUMP.get(column.rpartition("_")[2], math.inf), C(column)
-            if least < math.inf:  # angles are bounded
-                seen = rows.drop_nulls(column).with_columns(
-                    x=x, bound=least, steps=x.diff().abs().median().over("stream").fill_null(0.0),
-                    away=(x - x.rolling_median(9, center=True)).abs().over("stream"),
-                )  # fmt: skip
-                outliers += broken(ALONG, name, column, column.rpartition("_")[2], seen, _place(ids, zero))
+        along = streams(rows.drop("stream", "dt"), ids[:1]) if kind.difference else rows
+        yield from broken(ANOMALIES[4:], name, "t_s", "t_s", along.with_columns(x=T)) if name != "truth" else ()
+        for column in values if name != "truth" else ():
+            unit, x = column.rpartition("_")[2], C(column)
+            away = (x - x.rolling_median(15, center=True, min_samples=5)).abs().over("stream")
+            seen = rows.drop_nulls(column).with_columns(x=x, away=away, bound=LEAST_JUMP.get(unit, math.inf))
+            yield from broken(ANOMALIES[4:], name, column, unit, seen)  # angles are bounded
     yield from unobserved(rig, tables, "tag")
-    yield from outliers
-
-
-def _place(ids: Sequence[str], zero: float) -> Place:
-    """The time, the tag and the sensors of a row."""
-    return lambda row: f"{place_in_time(row['t_s'], zero)} ({', '.join(f'{column} {row[column]}' for column in ids)})"
-
-
-def _jumps(name: str, times: np.ndarray) -> Results:
-    """Clocks that jump by months or more, and times of 0 among others far away."""
-    for k in np.flatnonzero(np.diff(times) > JUMP_S).tolist():
-        before, after = times[k : k + 2].tolist()
-        what = f"the clock jumps by {(after - before) / YEAR_S:.3g} years at row {k + 2} in order of time, from "
-        what += f"{before:.10g} to {after:.10g} s: make two recordings"
-        zeros = f"times of 0 in {k + 1} rows, the others from {after:.10g} s: missing; remove the rows"
-        yield CheckResult("warning", name, zeros if times[0] == before == 0.0 else what)
 
 
 def unobserved(rig: Rig, tables: Tables, *nouns: str) -> Results:
     """Anchors, stations or tags of the rig without a measurement: failed devices, or misspelt ids."""
     for noun in nouns:
-        known, seen = {"anchor": rig.anchors, "station": rig.stations, "tag": rig.tags}[noun], set[str]()
-        for name, table in tables.items():
-            ids, values, *_ = table_kinds()[name].layout(table.columns)
-            for column in ids if name != "truth" else ():
-                seen |= set(with_value(table, values)[column].unique()) if column.startswith(noun) else set()
+        columns = [
+            (table, c) for k, table in tables.items() for c in (noun, f"{noun}_2") if c in table.columns and k in KINDS
+        ]
+        seen = {key for table, column in columns for key in table[column].unique()}
+        known = {"anchor": rig.anchors, "station": rig.stations, "tag": rig.tags}[noun]
         silent = [repr(key) if noun == "tag" else key for key in known if key not in seen]
         # A folder of fixes may have anchors that no table names.
         if silent and (seen or noun == "station"):
@@ -262,32 +204,24 @@ def unobserved(rig: Rig, tables: Tables, *nouns: str) -> Results:
 
 
 def check_rates(tables: Tables) -> Results:
-    """The share of empty cells; rows and rate of each stream, or of each table if it has many."""
+    """Rows, ids, the typical rate of a stream and the share of empty cells of each table."""
     for name, table in tables.items():
         ids, values, *_ = table_kinds()[name].layout(table.columns)
-        present = with_value(table, values)
-        if present.is_empty():
-            yield CheckResult("warning" if name == "truth" else "error", name, "all values are missing")
-            continue
-        empty = [f"{c} {100 * n / table.height:.3g} %" for c in values if (n := table[c].null_count())]
-        yield from [CheckResult("info", name, f"empty cells: {', '.join(empty)}")] if empty else []
-        rate = 1 / DT.filter(DT > 0).median()
-        along = streams(present.select("t_s", *ids), ids)
-        found = along.group_by("stream", *ids, maintain_order=True).agg(n=pl.len(), rate=rate)
-        if len(found) > STREAMS_SHOWN:
-            whole = ", ".join(counted(found[column].n_unique(), column) for column in ids)
-            found = found.select(n=C("n").sum(), rate=C("rate").median())
-        for row in found.iter_rows(named=True):
-            of = ", ".join(f"{column} {row[column]}" for column in reversed(ids)) if "tag" in row else whole
-            hertz = f", {row['rate']:.3g} Hz" if row["rate"] else ""
-            yield CheckResult("info", name, f"{of}: {counted(row['n'], 'row')}{hertz}")
+        along = streams(table.select("t_s", *ids), ids).filter(DT > 0)
+        rates = along.group_by("stream").agg(rate=1 / DT.median())["rate"].to_list()
+        parts = [counted(table.height, "row"), *(counted(table[c].n_unique(), c) for c in ids)]
+        parts += [f"{np.median(rates):.3g} Hz"] if rates else []
+        parts += [f"{c} empty {n / table.height:.3g}" for c in values if (n := table[c].null_count())]
+        empty = all(table[c].null_count() == table.height for c in values)
+        level: Level = "info" if not empty else "warning" if name == "truth" else "error"
+        yield CheckResult(level, name, ", ".join(parts) + ": all values are missing" * empty)
 
 
 def check_times(tables: Tables, base: bool = True) -> Results:
     """Errors and warnings of the unit of times; of the `base`, warnings of a late start, and the span of all tables."""
-    first, last = _ends(tables)
-    steps = [table["t_s"].unique().diff().median() for table in tables.values()]
-    shortest = min((float(step) for step in steps if isinstance(step, float)), default=0.0)
+    first, last = _ends(*tables.values())
+    steps = (table["t_s"].unique().diff().median() for table in tables.values())
+    shortest = min((float(step) for step in steps if step is not None), default=0.0)  # type: ignore[arg-type]
     units = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"), (1e8, "seconds"))
     unit = next((unit for least, unit in units if first > least), "")
     if unit and (base or unit != "seconds"):
@@ -303,107 +237,80 @@ def check_times(tables: Tables, base: bool = True) -> Results:
         yield CheckResult("warning" if late else "info", "t_s", message)
 
 
-def _ends(tables: Tables) -> tuple[float, float]:
-    times = pl.concat([table["t_s"] for table in tables.values()])
+def _ends(*tables: pl.DataFrame) -> tuple[float, float]:
+    times = pl.concat([table["t_s"] for table in tables])
     return float(times.min()), float(times.max())  # type: ignore[arg-type]
 
 
-def check_clocks(tables: Tables) -> Results:
-    """Errors: tables far in time from the first one of a tag, and streams whose rows all have one time."""
-    firsts = dict[str, tuple[str, float, float]]()
-    for name, table in ((name, tables[name]) for name in table_kinds() if name in tables):
-        ids = table_kinds()[name].layout(table.columns).ids
-        same = table.group_by(ids).agg(rows=pl.len(), times=T.n_unique()).filter(C("times") == 1)
-        if stuck := same.filter(C("rows") >= LEAST_STAMPS)["rows"].sum():
+def check_clocks(measured: Tables, truth: pl.DataFrame | None) -> Results:
+    """Errors: streams whose rows all have one time, tables far in time from the first, and a truth of another time."""
+    clocks = "as two time zones, or one counts from 1970; expected one clock for all tables"
+    for name, table in measured.items():
+        of_stream = table.group_by(table_kinds()[name].layout(table.columns).ids).agg(n=pl.len(), times=T.n_unique())
+        if stuck := of_stream.filter((C("times") == 1) & (C("n") >= LEAST_STAMPS))["n"].sum():
             message = f"{stuck} rows have one time per sensor and tag: the stamps have lost their digits"
             yield CheckResult("error", name, f"{message}; export them again with fractions of a second")
-        ends = table.group_by("tag", maintain_order=True).agg(T.min().alias("start"), T.max().alias("end"))
-        for tag, start, end in ends.iter_rows() if name != "truth" else ():
-            one, first, last = firsts.setdefault(tag, (name, start, end))
-            # One sensor may be switched on after another was switched off.
-            if max(start - last, first - end) > max(10.0 * (last - first + end - start), 600.0):
-                message = f"tag {tag}: {span(start, end)}, and {one} {span(first, last)}{_two_clocks(start - first)}"
-                yield CheckResult("error", name, message)
-                break
+        (first, last), (start, end) = _ends(next(iter(measured.values()))), _ends(table)
+        # One sensor may be switched on after another was switched off.
+        if max(start - last, first - end) > max(10.0 * (last - first + end - start), 600.0):
+            apart = f"{span(start, end)}, and {next(iter(measured))} {span(first, last)}"
+            yield CheckResult("error", name, f"{apart}; {(start - first) / 3600:.4g} hours apart, {clocks}")
+    if truth is not None:
+        (first, last), spans = _ends(*measured.values()), truth.group_by("tag").agg(start=T.min(), end=T.max())
+        rows = pl.concat([table.select("t_s", "tag") for table in measured.values()]).join(spans, "tag", "left")
+        share = float(rows.select(T.is_between("start", "end").fill_null(False).mean()).item())
+        level: Level = "info" if share >= 0.5 else "warning" if share else "error"
+        apart = f" ({span(*_ends(truth))}, and they {span(first, last)}: {clocks})" if not share else ""
+        yield CheckResult(level, "truth", f"covers {100 * share:.3g} % of the measurements in time{apart}")
 
 
-def _two_clocks(apart: float) -> str:
-    """The likely cause of tables that begin so many seconds apart, and what is expected."""
-    half_hours, cause = apart / 1800, ""
-    if abs(apart) > 1e8:
-        cause = "; one of them counts from 1970, the other from its own zero"
-    elif abs(half_hours) > 0.8 and abs(half_hours - round(half_hours)) < 0.05:
-        cause = f"; {half_hours / 2:.3g} hours apart, as two time zones"
-    return f"{cause}; expected one clock for all tables"
+def check_heights(rig: Rig, truth: pl.DataFrame) -> Results:
+    """An error for each tag of known height that its truth contradicts."""
+    for tag, z in truth.group_by("tag", maintain_order=True).agg(C("z_m").median()).iter_rows():
+        height = rig.tags[tag].height if tag in rig.tags else None
+        if z is not None and height is not None and abs(z - height) > OFF_M:
+            message = f"height_m of tag {tag} is {height:g}, but z of its truth is typically {z:.2f} m"
+            yield CheckResult("error", "rig.toml", f"{message}: one of the two is wrong, or points down")
 
 
-def check_cover(truth: pl.DataFrame, measured: Tables, full: bool) -> Results:
-    """An error for a truth of another time; in `full` its holes, and the share of the measurements that it covers."""
-    (first, last), (start, end) = _ends({"truth": truth}), _ends(measured)
-    known = truth.select("t_s", "tag", "x_m", "y_m", "z_m").drop_nulls()
-    share = float(first <= end and last >= start)
-    if full:
-        rows = TableRows(pl.concat([table.select("t_s", "tag") for table in measured.values()]))
-        status = TruePaths.of_table(known, "").at(rows.tags, rows.starts, rows.times)[1]
-        share = float(np.mean(status == TruthStatus.SCORED))
-        moved = pl.sum_horizontal(C(axis).diff() ** 2 for axis in ("x_m", "y_m", "z_m")).sqrt()
-        steps = streams(known, ["tag"]).with_columns(t_s=T.shift(), moved=moved)
-        holes = steps.filter((DT > HOLE_S) & (C("moved") > HOLE_M)).sort("dt")
-        if len(holes):
-            place = _place(["tag"], zero_of(first_time(measured)))(holes.row(-1, named=True))
-            message = f"holes longer than {HOLE_S:g} s with motion: {len(holes)}, the longest {holes['dt'][-1]:.3g} s "
-            yield CheckResult("warning", "truth", f"{message}after {place}; estimates inside are not scored")
-        if without := sorted({*rows.tags} - {*known["tag"]}):
-            message = f"measured tags without truth: {len(without)} ({listed(without, 8)})"
-            yield CheckResult("info", "truth", message)
-    if not share:
-        message = f"no measurement lies inside the time span of the truth, {span(first, last)}; the measurements begin "
-        yield CheckResult("error", "truth", f"{message}at {moment(start)}{_two_clocks(first - start)}")
-    elif full:
-        message = f"covers {100 * share:.3g} % of the measurements in time"
-        yield CheckResult("info" if share >= 0.5 else "warning", "truth", message)
+def check_geometry(rig: Rig, tables: Tables) -> Results:
+    """What the places of the sensors that are observed leave undetermined."""
+    known = bool(rig.tags) and all(tag.height is not None for tag in rig.tags.values())
+    kinds, seen = [KINDS[name] for name in tables if KINDS[name].sensors], list[dict[str, np.ndarray]]()
+    for kind in kinds:
+        present = tables[kind.name].drop_nulls(kind.least[0])
+        ids = {key for column in kind.sensors for key in present[column].unique()}
+        seen.append({key: place for key, place in kind.places(rig).items() if key in ids})
+    if "fixes" in tables and not any(kind.noun == "anchor" for kind in kinds) and len(rig.anchors) > 2:
+        kinds, seen = [*kinds, KINDS["ranges"]], [*seen, dict(rig.anchors)]
+    for kind, used in zip(kinds, seen, strict=True):
+        for (one, at), (other, there) in combinations(used.items(), 2):
+            if np.linalg.norm(at - there) < 1e-3:
+                message = f"{one} and {other} have the same position; correct one in rig.toml"
+                yield CheckResult("warning", "rig.toml", message)
+        least, station = 3 + (2 - known) * kind.difference, kind.noun == "station"
+        if len(used) == 1 and station:
+            message = f"only station {next(iter(used))} is observed: bearings, no position without a known height"
+            yield CheckResult("info", kind.name, message)
+        # A distance and a direction are a position, each alone is none.
+        elif not station and len(used) < least and sum(map(bool, seen)) + ("fixes" in tables) == 1:
+            message = f"anchors observed: {len(used)}, expected {least} or more for a position"
+            yield CheckResult("warning", "rig.toml", message)
+        elif len(used) > 2:
+            _, sizes, axes = np.linalg.svd(np.stack([*used.values()]) - np.mean([*used.values()], axis=0))
+            dimension, level = int((sizes > THIN * max(sizes[0], 1e-6)).sum()), abs(axes[2, 2]) > 0.7
+            what = "collinear: positions around their line cannot be told apart"
+            if dimension == 2:
+                known_or = "the height of the tags is known" if known else SAY_SIDE
+                what = f"coplanar: the height is weakly determined and may be mirrored at their plane ({known_or})"
+                what = what if level else "coplanar in a vertical plane: positions may be mirrored at it"
+            if dimension < 2 or (dimension == 2 and not station):
+                good = known and level and dimension == 2
+                yield CheckResult("info" if good else "warning", "rig.toml", f"the {kind.noun}s are {what}")
 
 
-def check_heights(rig: Rig, tables: Tables) -> Results:
-    """An error for each tag of known height that truth or ranges contradict."""
-    heights = {tag: known.height for tag, known in rig.tags.items() if known.height is not None}
-    up = {key: float(place[2]) for key, place in rig.anchors.items()}
-    height, contrary = C("tag").replace_strict(heights, default=None, return_dtype=pl.Float64), dict[str, str]()
-    for name, kind in KINDS.items() if heights else ():
-        if name in tables and kind.distance:
-            short = C(kind.columns[0].name) < (C(kind.noun).replace_strict(up, default=None) - height).abs() - OFF_M
-            for tag, share in tables[name].group_by("tag", maintain_order=True).agg(short.mean()).iter_rows():
-                if (share or 0.0) > 0.5:
-                    contrary[tag] = (
-                        f"{share:.0%} of its {name} are shorter than the difference of height to their anchors"
-                    )
-    truth = tables["truth"].group_by("tag", maintain_order=True).agg(C("z_m").median()) if "truth" in tables else None
-    for tag, z in () if truth is None else truth.iter_rows():
-        if z is not None and tag in heights and abs(z - heights[tag]) > OFF_M:
-            fix = "height_m has the wrong sign" if z > 0 else "z of the truth points down; flip its sign"
-            fix = fix if abs(z + heights[tag]) <= OFF_M else "one of the two is wrong"
-            contrary[tag] = f"z of its truth is typically {z:.2f} m: {fix}"
-    for tag, why in contrary.items():
-        yield CheckResult("error", "rig.toml", f"height_m of tag {tag} is {heights[tag]:g}, but {why}")
-
-
-def check_offsets(rig: Rig, paths: TruePaths) -> Results:
-    """An error for an `offset_m` too long for a body, and for the first two tags of each that truth has elsewhere."""
-    offsets = {tag: np.asarray(known.offset, float) for tag, known in rig.tags.items() if known.offset is not None}
-    for tag in (tag for tag, offset in offsets.items() if np.linalg.norm(offset) > 20.0):
-        message = f"offset_m of tag {tag} is {np.linalg.norm(offsets[tag]):.4g} m long: looks like millimetres or "
-        yield CheckResult("error", "rig.toml", f"{message}centimetres, expected metres")
-        return
-    for body in dict.fromkeys(map(rig.on_body_of, offsets)):
-        for one, other in combinations([tag for tag in body if tag in paths.number], 2):
-            at = paths.of_tag(one)[0]
-            at = at[:: -(-len(at) // POINTS)]
-            true = [paths.at([tag], np.array([0, len(at)]), at)[0] for tag in (one, other)]
-            distances = np.linalg.norm(true[0] - true[1], axis=1)
-            apart = float(np.median(distances[np.isfinite(distances)])) if np.isfinite(distances).any() else math.nan
-            given = float(np.linalg.norm(offsets[one] - offsets[other]))
-            if abs(apart - given) > OFFSET_M * max(1.0, given, apart):
-                both = f"{one} and {other} are {given:.2f} m apart, their true positions typically {apart:.2f} m"
-                fix = "correct them, or list the tags of each body under [bodies]"
-                yield CheckResult("error", "rig.toml", f"offset_m of tags {both}; {fix}")
-                break
+def without_height(rig: Rig, fixes: pl.DataFrame) -> list[str]:
+    """The tags of fixes without any z and without a known height."""
+    some = fixes.group_by("tag", maintain_order=True).agg(C("x_m", "z_m").is_not_null().any())
+    lacking = some.filter(C("x_m") & ~C("z_m"))["tag"]
+    return [tag for tag in lacking if tag not in rig.tags or rig.tags[tag].height is None]

@@ -58,7 +58,7 @@ MISTAKES = {
         with_columns("ranges", range_m=pl.when(pl.col("anchor") == "3").then(RANGE + 2.5).otherwise(RANGE)),
     ),
     "two anchors swapped": Mistake(
-        "iasl-drone-1", ("swapped", "ids of anchors"), with_anchors(lambda anchors: _swapped(anchors, 1, 6))
+        "iasl-drone-1", ("swapped for", "ids of anchors"), with_anchors(lambda anchors: _swapped(anchors, 1, 6))
     ),
     "anchors named one too high": Mistake("starloc-2d-s5", ("ids of anchors",), with_anchors(_cycled)),
     "an anchor at a wrong place": Mistake(
@@ -73,9 +73,9 @@ MISTAKES = {
         _all_anchors(lambda place: 1000 * place),
     ),
     "anchors in feet": Mistake("lias-planar-fast", ("rig.toml in feet",), _all_anchors(lambda place: place / 0.3048)),
-    "x and y of the truth swapped": Mistake("rcv-drone-3", ("x and y of the truth swapped",), with_columns("truth", x_m=Y, y_m=X)),
-    "y of the truth flipped": Mistake("tiers-1tag-01", ("sign of y of the truth flipped",), with_columns("truth", y_m=-Y)),
-    "truth with z downward": Mistake("tiers-2tag-01", ("sign of z",), with_columns("truth", x_m=Y, y_m=X, z_m=-Z)),
+    "x and y of the truth swapped": Mistake("rcv-drone-3", ("read as y, x, z",), with_columns("truth", x_m=Y, y_m=X)),
+    "y of the truth flipped": Mistake("tiers-1tag-01", ("read as x, -y, z",), with_columns("truth", y_m=-Y)),
+    "truth with z downward": Mistake("tiers-2tag-01", ("read as y, x, -z",), with_columns("truth", x_m=Y, y_m=X, z_m=-Z)),
     "truth turned": Mistake("lias-planar-fast", ("turned by 37.",), _turned(-37.0)),
     "truth turned against stations": Mistake("ble51-walk-u1-r1", ("of the truth",), _turned(90.0)),
     "truth 100 m off": Mistake("starloc-fast-s1", ("shifted by (-99.", "origin"), with_columns("truth", x_m=X + 100)),
@@ -89,7 +89,7 @@ MISTAKES = {
     "fixes in feet": Mistake(
         "tiers-2tag-03", ("feet",), with_columns("fixes", x_m=X / 0.3048, y_m=Y / 0.3048, z_m=Z / 0.3048)
     ),
-    "x of the fixes flipped": Mistake("tiers-2tag-03", ("sign of x of the truth flipped",), with_columns("fixes", x_m=-X)),
+    "x of the fixes flipped": Mistake("tiers-2tag-03", ("read as -x, y, z",), with_columns("fixes", x_m=-X)),
     "the azimuth's sign": Mistake("ble51-walk-u1-r1", ("sign of the azimuth",), with_columns("bearings", azimuth_rad=-AZIMUTH)),
     "the elevation's sign": Mistake("ble51-walk-u2-r2", ("sign of the elevation",), with_columns("bearings", elevation_rad=-ELEVATION)),
     "azimuth and elevation swapped": Mistake(
@@ -99,7 +99,7 @@ MISTAKES = {
         "ble51-walk-u3-r1", ("degrees",), with_columns("bearings", azimuth_rad=AZIMUTH.degrees(), elevation_rad=ELEVATION.degrees())
     ),
     "two stations swapped": Mistake(
-        "ble51-walk-u3-r2", ("swapped", "ids of stations"),
+        "ble51-walk-u3-r2", ("swapped for", "ids of stations"),
         lambda folder: replace(
             folder, rig=replace(folder.rig, stations={**folder.rig.stations, **_swapped(dict(folder.rig.stations), 0, 1)})
         ),
