@@ -149,8 +149,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         rows["tags"].append([name, _term(tag.bias, tag.sigma, True), *places, str(tag.rows)])
     looks = {"calibrated": "after"}
     tables = {name: one._replace(rows=rows[name], looks=looks) for name, one in SECTIONS.items() if rows[name]}
-    by_place = " `bearings` uses the map of their errors over the floor for tags of known height."
-    return Report(tables, sources, NOTE + by_place * (calibration.bearing_map is not None))
+    return Report(tables, sources, NOTE)
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:

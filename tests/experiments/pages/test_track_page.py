@@ -30,7 +30,7 @@ def tracks():
     return small_tracks()
 
 
-def test_columns_tracks_events_and_sources_are_those_of_the_tables(tracks):
+def test_columns_tracks_and_events_are_those_of_the_tables(tracks):
     event = pl.DataFrame({"recording": "hall", "tag": ["B", "gone"], "t_s": [5.0, 5.0], "event": "lost", "detail": ""})
     (recording,) = run_data(tracks, event, None, "uwb")["recordings"]
     rows, columns = tracks.rows, _unpacked(recording)
@@ -45,7 +45,6 @@ def test_columns_tracks_events_and_sources_are_those_of_the_tables(tracks):
     (event,) = recording["events"]
     assert recording["tracks"][event["track"]]["tag"] == "B"
     assert recording["start"] + event["t"] == 5.0
-    assert recording["sources"][columns["source"][recording["tracks"][0]["first"]]] == "1"
 
 
 def test_a_row_has_its_word_of_status_and_is_ok_with_an_unknown_one_or_none():
