@@ -62,7 +62,7 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
 
     Args:
         runs: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
-            tag, which --tag names; to compare, two or more folders of `track`, or two or more of `study`.
+            tag, which --tag names; to compare, two or more folders of `track`.
     """
     from trackwright.experiments.cli.evaluating import evaluate_poses, evaluate_run, print_comparison
     from trackwright.trackers.recordings.tracks_table import require_sources

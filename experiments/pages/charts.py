@@ -111,14 +111,9 @@ def plan(name: str, title: str, parts: Sequence[Line], around: np.ndarray, rig: 
     rig_lines = [path(broken, "", GREY, 2.0)]
     stations = {name: station.position for name, station in rig.stations.items()}
     for kind, marker, places in (("anchor", "triangle-up", rig.anchors), ("station", "square", stations)):
-        stacks: dict[tuple[float, float], list[str]] = {}
-        for one in sorted(places, key=natural):
-            x, y = map(float, places[one][:2])
-            near = (at for at in stacks if np.hypot(at[0] - x, at[1] - y) <= size / 40)
-            stacks.setdefault(next(near, (x, y)), []).append(one)
-        if stacks:
-            names = [", ".join(of) for of in stacks.values()]
-            rig_lines.append(path(np.array([*stacks]), kind, GREY, 0.0, marker=marker, size=7, text=names))
+        if places:
+            at = np.array([place[:2] for place in places.values()])
+            rig_lines.append(path(at, kind, GREY, 0.0, marker=marker, size=7, text=[*places]))
     height = 7.9 * float(np.clip((top - bottom) / (right - left), 0.3, 1.5)) + 1.1
     look: dict[str, Any] = {"equal": True, "width": 8.5, "height": height}
     return Chart(name, title, "x (m)", "y (m)", [*parts, *rig_lines], (left, right), (bottom, top), **look)

@@ -11,12 +11,11 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import polars as pl
 from markupsafe import Markup
 
-from trackwright.experiments.monte_carlo.declaration import short
 from trackwright.experiments.pages.chart import Chart
 from trackwright.experiments.pages.charts import coverage, error_cdf
 from trackwright.experiments.pages.report import report_page, typed, write_page
@@ -34,44 +33,31 @@ from trackwright.experiments.text.wording import (
 )
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.evaluation.comparison import Difference, holm, paired_differences
-from trackwright.trackers.evaluation.metrics import METRICS
+from trackwright.trackers.evaluation.evaluate import Metrics
 from trackwright.trackers.evaluation.rows import is_scored, scored_rows
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, source_paths
 
-RESULTS = "results.json"
 LEVEL, WIDTH = 0.05, 150
-
-Key = tuple[str, str]
-"""A subject and a metric: a recording, or the world, point and tracker of a study; "" for all recordings."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """A study, or tracks of recordings: its metrics by subject and name, with intervals where they are known.
+    """Tracks of recordings: their metrics by recording, "" for all, and their `scored_rows` where there is a truth.
 
-    `kind`: studies, positions or bearings. `rows`: the `scored_rows` of tracks with truth.
+    `kind`: position or bearing.
     """
 
     name: str
-    folder: Path
-    metrics: Mapping[Key, Value]
-    kind: str = "positions"
+    metrics: Mapping[str, Metrics]
+    kind: str = "position"
     rows: pl.DataFrame | None = None
-
-    def of(self, subject: str) -> dict[str, float]:
-        """The metrics of a subject by name."""
-        return {metric: value.value for (name, metric), value in self.metrics.items() if name == subject}
 
 
 class Contrast(NamedTuple):
-    """A metric of a run against the first run's.
+    """A metric of a run against the first run's; `p`: adjusted for the number of contrasts, NaN if unknown."""
 
-    `subject`: the world and tracker of studies, else empty. `p`: adjusted for the number of contrasts, NaN if unknown.
-    """
-
-    subject: str
     metric: str
     run: str
     difference: Difference
@@ -92,8 +78,8 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[str]]:
     names = ([os.sep.join(path[-length:]) for path in parts] for length in range(1, max(map(len, parts)) + 1))
     read = [_read(folder) for folder in folders]
     if len(kinds := dict(zip((kind for kind, _ in read), folders, strict=True))) > 1:
-        found = ", ".join(f"{folder} holds {kind}" for kind, folder in kinds.items())
-        raise UnusableInput(f"{found}; expected runs of one kind: studies, or tracks of positions, or of bearings")
+        found = ", ".join(f"{folder} holds {kind}s" for kind, folder in kinds.items())
+        raise UnusableInput(f"{found}; expected runs of one kind, tracks of positions or of bearings")
     runs, notices, known = [], list[str](), dict[str, RecordingFolder]()
     for path in dict.fromkeys(path for folder in folders for path in source_paths(folder)):
         try:
@@ -105,56 +91,36 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[str]]:
     for name, folder, (kind, metrics) in zip(next(x for x in names if len({*x}) == len(x)), folders, read, strict=True):
         kept = truths and (folder / TRACKS).is_file()
         rows = scored_rows(read_tracks(folder), truths, stations) if kept else None
-        runs.append(Run(name, folder, metrics, kind, None if rows is None or not is_scored(rows).any() else rows))
+        runs.append(Run(name, metrics, kind, None if rows is None or not is_scored(rows).any() else rows))
     return runs, notices
 
 
-def _read(folder: Path) -> tuple[str, dict[Key, Value]]:
-    """What a folder holds, studies, positions or bearings, and the metrics; raises UnusableInput."""
-    name = next((name for name in (RESULTS, EVALUATION) if (folder / name).is_file()), None)
-    if name is None:
-        fix = "expected a folder of `trackwright study` or `trackwright track`"
-        fix = f"write it with `trackwright evaluate {folder}`" if (folder / TRACKS).is_file() else fix
-        raise UnusableInput(f"{folder}: no {RESULTS} and no {EVALUATION}; {fix}")
+def _read(folder: Path) -> tuple[str, dict[str, Metrics]]:
+    """What a folder holds, positions or bearings, and the metrics by recording; raises UnusableInput."""
+    path = folder / EVALUATION
+    if not path.is_file():
+        done = f"write it with `trackwright evaluate {folder}`" if (folder / TRACKS).is_file() else ""
+        raise UnusableInput(f"{folder}: no {EVALUATION}; {done or 'expected a folder of `trackwright track`'}")
     try:
-        content = json.loads(file_bytes(folder / name))
-        if name == RESULTS:
-            return "studies", dict(_of_study(content))
+        content = json.loads(file_bytes(path))
         rows = {"": content["overall"]} | {str(row["recording"]): row for row in content["recordings"]}
-        metrics = {
-            (subject, key): Value(float(value), math.nan, math.nan)
-            for subject, row in rows.items()
-            for key, value in row.items()
-            if value is not None and key != "recording"
+        metrics: dict[str, Metrics] = {
+            name: {key: float(value) for key, value in row.items() if value is not None and key != "recording"}
+            for name, row in rows.items()
         }
-        return "bearings" if content.get("kind") == "bearing" else "positions", metrics
+        return str(content.get("kind", "position")), metrics
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        fix = "run the study or `evaluate` again"
-        raise UnusableInput(f"{folder / name}: cannot be read as JSON of ours; {fix}") from error
-
-
-def _of_study(content: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
-    for cell in content["cells"]:
-        point = ", ".join(f"{short(k)} {v}" for k, v in cell["point"].items())
-        subject = ", ".join(x for x in (cell["world"], point, cell["tracker"]) if x)
-        for metric, value in cell["figures"].items():
-            numbers = (math.nan if value[k] is None else float(value[k]) for k in Value._fields)
-            yield (subject, metric), Value(*numbers)
+        raise UnusableInput(f"{path}: cannot be read as JSON of ours; run `evaluate` again") from error
 
 
 def comparison(runs: Sequence[Run]) -> tuple[list[Section], list[Contrast]]:
-    """The tables of a comparison and the contrasts behind them; raises UnusableInput without a common metric."""
+    """The tables of a comparison and the contrasts behind them."""
     first, *others = runs
-    if first.kind == "studies":
-        found = [one for run in others for one in _independent(first, run)]
-        contrasts = adjusted([one for one in found if one.metric in METRICS and METRICS[one.metric].page] or found)
-        if not contrasts:
-            names = " and ".join(str(run.folder) for run in runs)
-            raise UnusableInput(f"{names} have no metric of the same world and tracker in common")
-        return [_table_of_studies(runs, contrasts)], contrasts
-    contrasts = adjusted([one for run in others for one in _paired(first, run)])
-    sizes = [run.metrics["", "rmse_m"].value for run in runs if ("", "rmse_m") in run.metrics]
-    unit = SHOWN["rad"] if first.kind == "bearings" else length_unit(min(sizes, default=math.nan))
+    found = [one for run in others for one in _paired(first, run)]
+    adjusted = holm([one.p for one in found])
+    contrasts = [one._replace(p=p) for one, p in zip(found, adjusted, strict=True)]
+    sizes = [of["rmse_m"] for run in runs if "rmse_m" in (of := run.metrics.get("", {}))]
+    unit = SHOWN["rad"] if first.kind == "bearing" else length_unit(min(sizes, default=math.nan))
     table = _table_of_tracks(runs, unit)
     return [table, *([difference_table(first.name, contrasts, unit)] if contrasts else [])], contrasts
 
@@ -164,38 +130,21 @@ def _paired(first: Run, run: Run) -> Iterator[Contrast]:
     if first.rows is None or run.rows is None:
         return
     for metric, difference in paired_differences(first.rows, run.rows).items():
-        given = "_3d" in metric and all(shown_metric(both.of(""), metric) is None for both in (first, run))
+        given = "_3d" in metric and all(shown_metric(of.metrics.get("", {}), metric) is None for of in (first, run))
         if math.isfinite(difference.value) and not given:
-            yield Contrast("", metric, run.name, difference, difference.p)
-
-
-def _independent(first: Run, run: Run) -> Iterator[Contrast]:
-    """The differences of a study from the first, by the widths of their intervals; conservative for common noise."""
-    for (subject, metric), before in first.metrics.items():
-        if after := run.metrics.get((subject, metric)):
-            half = math.hypot(before.high - before.low, after.high - after.low) / 2
-            value, p = after.value - before.value, math.nan
-            if math.isfinite(half):
-                p = math.erfc(abs(value) / (half / 1.959964) / math.sqrt(2)) if half > 0 else float(value == 0)
-            difference = Difference(before.value, after.value, value - half, value + half, p, 0)
-            yield Contrast(subject, metric, run.name, difference, p)
-
-
-def adjusted(contrasts: Sequence[Contrast]) -> list[Contrast]:
-    """The contrasts with p-values for their number."""
-    return [one._replace(p=p) for one, p in zip(contrasts, holm([one.p for one in contrasts]), strict=True)]
+            yield Contrast(metric, run.name, difference, difference.p)
 
 
 def _table_of_tracks(runs: Sequence[Run], unit: Unit) -> Section:
     """The main metrics, and the median, of every recording and run, without those that no run has."""
-    subjects = list(dict.fromkeys(subject for run in runs for subject, _ in run.metrics if subject))
+    subjects = list(dict.fromkeys(subject for run in runs for subject in run.metrics if subject))
     main = [column for column in COLUMNS if column.rank == 0 or column.name.startswith("median")]
     pairs = [(subject, run) for subject in (*subjects, *[""] * (len(subjects) > 1)) for run in runs]
-    shown = [(subject, run, of) for subject, run in pairs if (of := run.of(subject))]
+    shown = [(subject, run, of) for subject, run in pairs if (of := run.metrics.get(subject))]
     columns = [column for column in main if any(shown_metric(of, column.name) is not None for *_, of in shown)]
     rows = [[subject or "all recordings", run.name, *cells(of, columns, unit)] for subject, run, of in shown]
     spatial = " and 3-D" * any("_3d" in column.name for column in columns)
-    what = "Bearing" if runs[0].kind == "bearings" else f"Horizontal{spatial} position"
+    what = "Bearing" if runs[0].kind == "bearing" else f"Horizontal{spatial} position"
     head = ("recording", "run", *(title_of(column).replace("\n", " ").strip() for column in columns))
     return Section(f"{what} errors in {unit.name}", head, rows, 2)
 
@@ -220,29 +169,11 @@ def difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> S
     return Section(f"Differences from {first}", head, rows, 2, note)
 
 
-def _table_of_studies(runs: Sequence[Run], contrasts: Sequence[Contrast]) -> Section:
-    """The metrics of every world, tracker and study, and whether they differ from the first."""
-    rows = []
-    for contrast in contrasts:
-        d, unit = contrast.difference, unit_of(contrast.metric, [contrast.difference.first])
-        key = contrast.subject, contrast.metric
-        shown = [with_interval(run.metrics[key], unit) for run in runs if run.name in (runs[0].name, contrast.run)]
-        ratio = f"{d.second / d.first:.3f}" if d.first else MISSING
-        words = [contrast.subject, heading(contrast.metric, unit), contrast.run]
-        rows.append([*words, *shown, ratio, yes_no(contrast.differs)])
-    head = ("", "metric", "study", runs[0].name, "the study's", "ratio", "differ?")
-    note = f"In brackets 95 % intervals. Differences are corrected for {len(contrasts)} comparisons (Holm)."
-    return Section("Metrics", head, rows, 3, note)
-
-
 def lone_subjects(runs: Sequence[Run]) -> list[str]:
-    """A line for each recording, or world and tracker, that some run lacks."""
-    held = {run.name: dict.fromkeys(subject for subject, _ in run.metrics if subject) for run in runs}
-    return [
-        f"only in {listed([name for name, subjects in held.items() if subject in subjects])}: {subject}"
-        for subject in dict.fromkeys(subject for subjects in held.values() for subject in subjects)
-        if not all(subject in subjects for subjects in held.values())
-    ]
+    """A line for each recording that some run lacks."""
+    subjects = dict.fromkeys(subject for run in runs for subject in run.metrics)
+    holders = {subject: [run.name for run in runs if subject in run.metrics] for subject in subjects}
+    return [f"only in {listed(of)}: {subject}" for subject, of in holders.items() if len(of) < len(runs)]
 
 
 def comparison_charts(runs: Sequence[Run]) -> list[Chart]:

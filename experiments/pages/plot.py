@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -26,44 +26,27 @@ HEIGHT = 900
 """Height of the page in a notebook, pixels; it scrolls."""
 
 
-def _plot(chart: Callable[..., Chart], estimates: Any, recording: AnyRecording | None, ax: Any, *more: Any) -> Axes:
-    """The chart of estimates, or of several by name, on the axes `ax` or new ones."""
-    several, runs, truth = isinstance(estimates, Mapping), {}, chart not in (charts.floor_plan, charts.nis_over_time)
-    for name, run in (estimates if several else {"": estimates}).items():
-        runs[name] = scored_tracks(run, recording, truth).recordings[0]
-        if truth and not np.isfinite(runs[name].miss).any():
-            raise UnusableInput(f"{chart.__name__}: no estimate has a truth at its time")
-    return draw(chart(runs if several else runs[""], *more), ax)
+def _plot(chart: Callable[..., Chart], needs_truth: bool = True) -> Callable[..., Axes]:
+    """The chart of estimates, or of several by name, and their recording, on the axes `ax` or new ones."""
+
+    def plot(estimates: Any, recording: AnyRecording | None = None, *more: Any, ax: Any = None, **named: Any) -> Axes:
+        several, runs = isinstance(estimates, Mapping), {}
+        for name, run in (estimates if several else {"": estimates}).items():
+            runs[name] = scored_tracks(run, recording, needs_truth).recordings[0]
+            if needs_truth and not np.isfinite(runs[name].miss).any():
+                raise UnusableInput(f"{chart.__name__}: no estimate has a truth at its time")
+        return draw(chart(runs if several else runs[""], *more, **named), ax)
+
+    plot.__name__, plot.__doc__ = chart.__name__, chart.__doc__
+    return plot
 
 
-def floor_plan(estimates: Any, recording: Any = None, tags: Sequence[str] = (), ax: Any = None) -> Axes:
-    """The paths over the floor with truth, installation and some 95 % ellipses; `tags`: those drawn, at most six."""
-    return _plot(charts.floor_plan, estimates, recording, ax, tags)
-
-
-def error_over_time(estimates: Any, recording: Any = None, tag: str | None = None, ax: Any = None) -> Axes:
-    """The horizontal error of a tag, by default the worst, over time, with its reported standard deviation."""
-    return _plot(charts.error_over_time, estimates, recording, ax, tag)
-
-
-def error_cdf(estimates: Any, recording: Any = None, ax: Any = None) -> Axes:
-    """The distribution function of the errors; of several runs by name, a curve each."""
-    return _plot(charts.error_cdf, estimates, recording, ax)
-
-
-def coverage(estimates: Any, recording: Any = None, ax: Any = None) -> Axes:
-    """The share of the truth inside the reported ellipses against their level; of several runs a curve each."""
-    return _plot(charts.coverage, estimates, recording, ax)
-
-
-def nees_over_time(estimates: Any, recording: Any = None, ax: Any = None) -> Axes:
-    """The NEES per degree of freedom over time with its band."""
-    return _plot(charts.nees_over_time, estimates, recording, ax)
-
-
-def nis_over_time(estimates: Any, recording: Any = None, ax: Any = None) -> Axes:
-    """The NIS per degree of freedom over time with its band."""
-    return _plot(charts.nis_over_time, estimates, recording, ax)
+floor_plan = _plot(charts.floor_plan, needs_truth=False)
+error_over_time = _plot(charts.error_over_time)
+error_cdf = _plot(charts.error_cdf)
+coverage = _plot(charts.coverage)
+nees_over_time = _plot(charts.nees_over_time)
+nis_over_time = _plot(charts.nis_over_time, needs_truth=False)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.metrics import METRICS
 from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.diagnostics import nis_quantile
 
 PAGE = "report.html"
@@ -57,10 +56,8 @@ def track_page(runs: Sequence[Mapping[str, Any]], command: str = "", kind: str =
     """The text of the page; arguments as of `write_track_page`."""
     names = list(dict.fromkeys(recording["name"] for run in runs for recording in run["recordings"]))
     title = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    metrics, lines = _metrics(runs)
-    data = {"runs": runs, "lines": lines}
-    told = {"title": title, "kind": kind, "tracker": runs[0]["tracker"], "command": command, "metrics": metrics}
-    return page("track.html", **told, data=data, scripts=SCRIPTS, moving=True)
+    told = {"title": title, "kind": kind, "tracker": runs[0]["tracker"], "command": command, "metrics": _metrics(runs)}
+    return page("track.html", **told, data={"runs": runs}, scripts=SCRIPTS, moving=True)
 
 
 def run_data(
@@ -93,9 +90,9 @@ def run_data(
             "metrics": metrics, "statements": statements}  # fmt: skip
 
 
-def _metrics(runs: Sequence[Mapping[str, Any]]) -> tuple[Section, list[list[Any]]]:
-    """The table of all runs, of recordings first; and of each row the run, recording, tag and station."""
-    lines = [{**one, "run": k, "tracker": run["name"]} for k, run in enumerate(runs) for one in run["metrics"]]
+def _metrics(runs: Sequence[Mapping[str, Any]]) -> Section:
+    """The table of all runs, of recordings first."""
+    lines = [{**one, "tracker": run["name"]} for run in runs for one in run["metrics"]]
     keys = [(line["recording"], line["tag"], line["station"]) for line in lines]
     order = {key: k for k, key in enumerate(dict.fromkeys(sorted(keys, key=lambda key: key[1] is not None)))}
     lines = [lines[k] for k in sorted(range(len(lines)), key=lambda k: order[keys[k]])]
@@ -111,9 +108,8 @@ def _metrics(runs: Sequence[Mapping[str, Any]]) -> tuple[Section, list[list[Any]
             value = factor * line.get(metric.name, math.nan)
             cells.append(fixed(value, 0 if abs(value) >= 1e4 else digits))
         rows.append([*(line[name] or "" for name in labels), *cells])
-    note = "Each recording, and the tracks with the largest errors. A click on a line shows its track."
-    section = Section("Metrics", [*labels, *titles], rows, len(labels), note)
-    return section, [[line[name] for name in ("run", "recording", "tag", "station")] for line in lines]
+    note = "Each recording, and the tracks with the largest errors."
+    return Section("Metrics", [*labels, *titles], rows, len(labels), note)
 
 
 def recording_data(recording: ScoredRecording, most_rows: int, most_tracks: int, most_points: int) -> dict[str, Any]:
@@ -144,8 +140,7 @@ def recording_data(recording: ScoredRecording, most_rows: int, most_tracks: int,
         for event in lost.iter_rows(named=True)
         if (track := number.get((event["tag"], event.get("station")))) is not None
     ]
-    source, sources = _sources(recording, of_chosen[drawn])
-    columns = _columns(recording, of_chosen[drawn], start, origin) | {"source": source}
+    columns = _columns(recording, of_chosen[drawn], start, origin)
     tags, found = residuals(recording)
     every = max(1, -(-sum(len(one.times) for one in found) // most_points))
     channels = [
@@ -164,7 +159,7 @@ def recording_data(recording: ScoredRecording, most_rows: int, most_tracks: int,
         "name": folder.name, "start": start - recording.zero, "end": end - recording.zero,
         "timeLabel": time_label(recording.zero), "origin": origin.tolist(), "angles": angles, "rows": len(times),
         "drawn": len(drawn), "trackCount": len(lengths), "tracks": tracks, "axes": axes, "columns": _packed(columns),
-        "statuses": STATUSES, "sources": sources, "nisBand": _nis_band(recording), "events": happened[:MOST_EVENTS],
+        "statuses": STATUSES, "nisBand": _nis_band(recording), "events": happened[:MOST_EVENTS],
         "eventCount": len(lost), "rig": _rig(folder.rig, origin),
         "residuals": {"tags": tags, "every": every, "channels": channels}, "charts": [one.plotly() for one in charts],
     }  # fmt: skip
@@ -221,30 +216,6 @@ def _columns(recording: ScoredRecording, index: np.ndarray, start: float, origin
     words = rows["status"].cast(pl.String).to_list() if "status" in rows.columns else ["ok"] * len(rows)
     status = np.array([STATUSES.index(word) if word in STATUSES else 0 for word in words], int)
     return columns | {"nis": np.where(dof > 0, float_column(rows, "nis"), np.nan), "dof": dof, "status": status}
-
-
-def _sources(recording: ScoredRecording, index: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """The number of the anchor or station whose reading has the time of each row, and their names.
-
-    The two last names are for several sources at one time and for none.
-    """
-    rows, folder, source = recording.rows[index], recording.folder, pl.col("source")
-    if recording.angles:
-        names = sorted(folder.rig.stations)
-        return np.array([names.index(s) for s in rows["station"]], int), names
-    readings = [
-        folder.tables[table].select(pl.col("tag").cast(pl.String), "t_s", source=pl.col(column).cast(pl.String))
-        for table, kind in KINDS.items()
-        for column in kind.sensors
-        if table in folder.tables
-    ]
-    if not readings:
-        return np.zeros(len(rows), int), []
-    lone = pl.when(source.n_unique() > 1).then(pl.lit("several")).otherwise(source.first())
-    at_times = pl.concat(readings).group_by("tag", "t_s").agg(source=lone)
-    joined = rows.select("tag", "t_s").join(at_times, on=["tag", "t_s"], how="left", maintain_order="left")
-    names = [*sorted({name for table in readings for name in table["source"].unique()}), "several", "none"]
-    return np.array([names.index(name) for name in joined["source"].fill_null("none")], int), names
 
 
 def _nis_band(recording: ScoredRecording) -> list[float] | None:

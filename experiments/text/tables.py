@@ -196,7 +196,7 @@ def _text(
     excluded = [f"{overall[f'n_{name}']} {why}" for name, why in reasons.items() if overall[f"n_{name}"]]
     meaning = (
         "% in 95 %: rows whose 95 % ellipse holds the truth. NEES/dof: above 1 covariances are too small. Regret: nats "
-        "of log density lost by their scale, 0.1 is little, 1 much. NIS/dof: below 1 readings scatter less than said."
+        "of log density lost by their scale, 0.1 is little. NIS/dof: below 1 readings scatter less than expected."
     )
     judged = any(overall[c.name] is not None for c in columns if c.name in ("nees_ratio", "nis_ratio"))
     left_out = f"Excluded of {overall['n_rows']} rows: {', '.join(excluded)}." if excluded else ""

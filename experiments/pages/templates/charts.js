@@ -2,4 +2,4 @@
 const charts = [...document.querySelectorAll(".chart")].map((place) => [place, JSON.parse(place.firstChild.textContent)]);
 const drawAll = () => charts.forEach(([place, chart]) => drawChart(place, chart));
 drawAll();
-document.documentElement.addEventListener("theme", drawAll);
+onTheme(drawAll);

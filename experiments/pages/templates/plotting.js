@@ -44,6 +44,4 @@ const CONFIG = {
   modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]],
 };
 
-for (const event of ["beforeprint", "afterprint"]) {
-  addEventListener(event, () => document.querySelectorAll(".js-plotly-plot").forEach((plot) => Plotly.Plots.resize(plot)));
-}
+const onTheme = (draw) => matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);

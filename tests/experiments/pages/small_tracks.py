@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import polars as pl
 
@@ -94,4 +92,4 @@ def small_run(name: str, shifts: dict[str, float]) -> Run:
     at = {"tag": "1", "t_s": times, "x_m": times, "y_m": times**2, "z_m": 1.0}
     spread = {"std_x_m": 0.1, "std_y_m": 0.1, "std_z_m": 0.0, "cov_xy_m2": 0.0, "nis": 1.0, "nis_dof": 1.0}
     tables = (pl.DataFrame({"recording": k} | at | spread).with_columns(pl.col("x_m") + s) for k, s in shifts.items())
-    return Run(name, Path(name), {}, rows=scored_rows(pl.concat(tables), dict.fromkeys(shifts, pl.DataFrame(at))))
+    return Run(name, {}, rows=scored_rows(pl.concat(tables), dict.fromkeys(shifts, pl.DataFrame(at))))

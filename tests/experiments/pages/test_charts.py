@@ -85,7 +85,7 @@ def test_wild_estimates_are_counted_and_do_not_decide_the_scale_of_the_plan():
     assert chart.xlim[1] < 20
     assert "1 of 80 estimates lie outside the axes." in chart.note
     assert {"truth", "tag A", "start", "end", "anchor"} == {*_lines(chart)}
-    assert [*_lines(chart)["anchor"].text] == ["1", "2", "10, 11"]
+    assert [*_lines(chart)["anchor"].text] == ["1", "2", "10", "11"]
 
 
 def test_the_ellipses_of_a_plan_hold_95_percent_of_the_reported_normal_distribution():

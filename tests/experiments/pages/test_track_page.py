@@ -30,7 +30,7 @@ def tracks():
     return small_tracks()
 
 
-def test_columns_tracks_events_and_sources_are_those_of_the_tables(tracks):
+def test_columns_tracks_and_events_are_those_of_the_tables(tracks):
     rows = tracks.rows.with_row_index("row")
     last = rows.filter((pl.col("tag") == "B") & (pl.col("t_s") <= 5.0))["row"][-1]
     rows = rows.with_columns(losses=(pl.col("row") == last).cast(pl.Int64)).drop("row")
@@ -47,7 +47,6 @@ def test_columns_tracks_events_and_sources_are_those_of_the_tables(tracks):
     (event,) = recording["events"]
     assert recording["tracks"][event["track"]]["tag"] == "B"
     assert recording["start"] + event["t"] == pytest.approx(5.0)
-    assert recording["sources"][columns["source"][recording["tracks"][0]["first"]]] == "1"
 
 
 def test_a_row_has_its_word_of_status_and_is_ok_with_an_unknown_one_or_none():

@@ -49,7 +49,6 @@ def test_rows_that_repeat_a_value_lose_it_and_stay(held):
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_values_that_are_held_on_the_way_to_an_anchor_or_away_from_it_are_told(sign):
     values = 20.0 + sign * 0.01 * np.repeat(np.cumsum(np.random.default_rng(3).integers(3, 9, 200)), 2)
-    none = np.full((len(values), 1), np.nan)
     read = Readings(("range_m",), np.zeros(400, int), np.round(values[:, None], 2))
     assert source_repeats(read)
 

@@ -26,9 +26,8 @@ const withinHalfTurn = (degrees) => degrees - 360 * Math.round(degrees / 360);
 /** The number of a track with the same tag and station, or -1. */
 const trackOf = (tracks, tag, station) => tracks.findIndex((track) => track.tag === tag && track.station === station);
 
-/** Rows of a track whose time is in the window. */
-const rowsWithin = ({ t }, { first, end }, [from, to]) =>
-  Array.from({ length: end - first }, (_, k) => first + k).filter((row) => t[row] >= from && t[row] <= to);
+/** The rows of a track. */
+const rowsOf = ({ first, end }) => Array.from({ length: end - first }, (_, k) => first + k);
 
 /** At most about `most` of the rows: of each block those with the least and the largest value. */
 function thinned(rows, values, most) {

@@ -26,17 +26,8 @@ function numbersOf(recording, row) {
   const known = (name, value, text) => Number.isFinite(value) && pairs.push([name, text(value)]);
   known(angles ? "angle to the truth" : "horizontal error", missOf(columns, row), (miss) => withUnit(miss, unit));
   if (!angles && axes.length > 2) known("error in z", columns.e2[row], (error) => withUnit(error, unit));
-  known("NEES/dof", neesOf(columns, row), (nees) => fixed(nees, 2));
   if (columns.dof[row] > 0) pairs.push(["NIS/dof", fixed(columns.nis[row] / columns.dof[row], 2)]);
-  if (recording.sources.length) pairs.push([angles ? "station" : "reading of", recording.sources[columns.source[row]]]);
   return [...pairs, ["status", recording.statuses[columns.status[row]]]];
-}
-
-/** NEES per degree of freedom of the horizontal position, of both angles, or of the only one. */
-function neesOf({ e0, e1, s0, s1, cov }, row) {
-  if (!s1) return (e0[row] / s0[row]) ** 2;
-  const a = s0[row] ** 2, b = cov ? cov[row] : 0, c = s1[row] ** 2, x = e0[row], y = e1[row];
-  return (c * x * x - 2 * b * x * y + a * y * y) / (a * c - b * b) / 2;
 }
 
 /** What the rows of a recording can be coloured by, each with its title and the value of a row. */
@@ -44,9 +35,7 @@ function colourings(recording) {
   const { columns, tracks } = recording, kinds = {
     error: [`error (${recording.axes[0].unit})`, (row) => missOf(columns, row), tracks.some((track) => track.rmse !== null)],
     "NIS/dof": ["NIS/dof", (row) => columns.nis[row] / columns.dof[row], recording.nisBand],
-    source: ["source", (row) => columns.source[row], recording.sources.length],
     tag: ["tag", (row) => recording.trackOf[row], true],
-    time: [recording.timeLabel, (row) => recording.start + columns.t[row], true],
   };
   return Object.fromEntries(Object.entries(kinds).filter(([, kind]) => kind[2]));
 }
@@ -54,10 +43,10 @@ function colourings(recording) {
 /** The colour of each row as settings of its marker. */
 function markerColours(recording, kind, rows) {
   const [title, value] = colourings(recording)[kind], values = rows.map(value);
-  if (kind === "source" || kind === "tag") return { color: values.map(lineColour) };
-  const low = kind === "time" ? quantile(values, 0) : 0, top = kind === "NIS/dof" ? 4 : quantile(values, 0.98);
+  if (kind === "tag") return { color: values.map(lineColour) };
+  const top = kind === "NIS/dof" ? 4 : quantile(values, 0.98);
   return {
-    color: values.map((v) => Number.isFinite(v) ? v : low), cmin: low, cmax: top || 1, colorscale: "Viridis",
+    color: values.map((v) => Number.isFinite(v) ? v : 0), cmin: 0, cmax: top || 1, colorscale: "Viridis",
     colorbar: { title: { text: title, side: "right" }, thickness: 12, len: 0.85, outlinewidth: 0 },
   };
 }

@@ -1,8 +1,8 @@
 // The page: what is chosen, and who draws what when it changes.
 
 const byId = (id) => document.getElementById(id), data = unpacked(byId("data").textContent);
-const state = { run: null, recording: null, view: null, selected: -1, window: [-Infinity, Infinity] };
-const plot = byId("plan"), series = byId("series"), overlay = makeOverlay(plot, showTip);
+const state = { run: null, recording: null, view: null, selected: -1 };
+const plot = byId("plan"), series = byId("series"), overlay = makeOverlay(plot);
 const cursor = Object.assign(document.createElement("div"), { className: "cursor" });
 const playback = makePlayback(showMoment, nextTime);
 
@@ -24,9 +24,9 @@ function nextTime(time, direction) {
 }
 
 function showMoment(time) {
-  const { recording, selected, window } = state, track = recording.tracks[shownTrack()], row = track ? rowAt(recording, track, time) : -1;
+  const { recording, selected } = state, track = recording.tracks[shownTrack()], row = track ? rowAt(recording, track, time) : -1;
   byId("clock").textContent = `${fixed(recording.start + time, 2)} s`;
-  overlay.draw(time, selected, Number(byId("tail").value), window[0]);
+  overlay.draw(time, selected);
   placeCursor(time);
   const pairs = row < 0 ? [["status", "no estimate yet"]] : numbersOf(recording, row);
   byId("now").querySelector("table").replaceChildren(...pairs.map((pair) => {
@@ -44,46 +44,19 @@ function placeCursor(time) {
     `height:${height - margin.t - margin.b}px;display:${at >= from && at <= to ? "block" : "none"}`;
 }
 
-/** Limits the estimates that are drawn and played to a window of times. */
-function setWindow(window) {
-  state.window = window;
-  playback.limit(Number.isFinite(window[0]) ? nextTime(window[0], 1) : 0, window[1]);
-}
-
-/** The moment of an event, which a zoom may have hidden. */
-function goTo(time) {
-  if (time < state.window[0] || time > state.window[1]) {
-    setWindow([-Infinity, Infinity]);
-    Plotly.relayout(series, { "xaxis.autorange": true });
-  }
-  playback.go(time);
-}
-
-/** Pairs of a name and a text beside the pointer; null hides them. */
-function showTip(pairs, event) {
-  const tip = byId("tip");
-  tip.hidden = pairs === null;
-  if (pairs === null) return;
-  tip.textContent = pairs.map((pair) => pair.join(": ")).join("\n");
-  const x = event.clientX + 14, wide = tip.offsetWidth;
-  tip.style.left = `${x + wide > innerWidth ? Math.max(event.clientX - wide - 14, 4) : x}px`;
-  tip.style.top = `${Math.min(event.clientY + 14, innerHeight - tip.offsetHeight - 4)}px`;
-}
-
 function drawPlan() {
-  const { recording, selected, view, window } = state, shown = selected >= 0 ? [selected] : [...recording.tracks.keys()];
-  const traces = planTraces(recording, view, shown, byId("colour").value, window);
+  const { recording, selected, view } = state, shown = selected >= 0 ? [selected] : [...recording.tracks.keys()];
+  const traces = planTraces(recording, view, shown, byId("colour").value);
   Plotly.react(plot, traces, layoutOf(view.layout()), { ...CONFIG, scrollZoom: true }).then(() => showMoment(playback.now()));
 }
 
 function drawSeries() {
-  const number = shownTrack(), { recording, window } = state;
+  const number = shownTrack(), { recording } = state;
   if (number === undefined) return;
-  const { traces, layout } = seriesFigure(recording, number, window);
-  if (Number.isFinite(window[0])) layout.xaxis.range = window.map((t) => t + recording.start);
+  const { traces, layout } = seriesFigure(recording, number);
   series.style.height = `${layout.height}px`;
   const largest = state.selected < 0 && recording.tracks.length > 1 ? ", the one with the largest error" : "";
-  byId("series-lead").textContent = `Tag ${nameOf(recording.tracks[number])}${largest}. A zoom here limits the estimates drawn above to the same times.`;
+  byId("series-lead").textContent = `Tag ${nameOf(recording.tracks[number])}${largest}.`;
   Plotly.react(series, traces, layout, CONFIG).then(() => {
     series.append(cursor);
     placeCursor(playback.now());
@@ -111,7 +84,7 @@ const hideLone = (id) => { byId(`${id}-label`).hidden = byId(id).length < 2; };
 
 /** Shows the run of a tracker: of the same recording the same tag and moment, where it has them. */
 function loadRun(number) {
-  const { recording: before, window, selected } = state, run = data.runs[number], time = before && before.start + playback.now();
+  const { recording: before, selected } = state, run = data.runs[number], time = before && before.start + playback.now();
   const track = before?.tracks[selected];
   state.run = run;
   byId("tracker").value = number;
@@ -122,7 +95,6 @@ function loadRun(number) {
   const same = run.recordings.findIndex((recording) => recording.name === before?.name);
   loadRecording(Math.max(same, 0));
   if (same < 0) return;
-  setWindow(window.map((t) => t + before.start - state.recording.start));
   select(track ? trackOf(state.recording.tracks, track.tag, track.station) : -1);
   playback.go(time - state.recording.start);
 }
@@ -143,7 +115,7 @@ function loadRecording(number) {
   const recording = state.run.recordings[number], view = viewOf(recording), { tracks, columns, events } = recording;
   recording.trackOf = new Uint16Array(columns.t.length);
   tracks.forEach((track, k) => recording.trackOf.fill(k, track.first, track.end));
-  Object.assign(state, { recording, view, selected: -1, window: [-Infinity, Infinity] });
+  Object.assign(state, { recording, view, selected: -1 });
   byId("recording").value = number;
   byId("view-words").textContent = view.words;
   choose("colour", Object.keys(colourings(recording)).map((name) => [name, name]));
@@ -156,19 +128,9 @@ function loadRecording(number) {
   byId("tag").value = state.selected;
   overlay.load(recording, view, otherRuns(recording));
   listNow();
-  byId("ticks").replaceChildren(...events.map((event) => made("i", "", {
-    title: `${event.what}, ${fixed(recording.start + event.t, 2)} s`, style: `left:${100 * event.t / (recording.end - recording.start)}%`,
-  })));
   byId("drawn").textContent = drawnWords(recording);
   drawAll();
-  playback.load(Math.max(recording.end - recording.start, 1e-3), firstEstimate(recording, tracks[shownTrack()]));
-}
-
-/** The time of the first estimate of a track after its start has settled. */
-function firstEstimate({ columns: { t, v0, s0 } }, track) {
-  const rows = track ? rowsWithin({ t }, track, [-Infinity, Infinity]).filter((row) => Number.isFinite(v0[row])) : [];
-  const usual = quantile(rows.map((row) => s0[row]), 0.5), settled = rows.find((row) => !(s0[row] > 3 * usual));
-  return settled === undefined ? 0 : t[settled];
+  playback.load(Math.max(recording.end - recording.start, 1e-3), 0);
 }
 
 /** The name of the track of the moment, and the events as links to their times. */
@@ -178,7 +140,7 @@ function listNow() {
   const events = recording.events.filter((event) => selected < 0 || selected === event.track).slice(0, 12);
   box.querySelector("ul").replaceChildren(...events.map((event) => {
     const of = selected < 0 && recording.tracks.length > 1 ? ` (${nameOf(recording.tracks[event.track])})` : "";
-    return made("li", `${fixed(recording.start + event.t, 1)} s: ${event.what}${of}`, { onclick: () => goTo(event.t) });
+    return made("li", `${fixed(recording.start + event.t, 1)} s: ${event.what}${of}`, { onclick: () => playback.go(event.t) });
   }));
 }
 
@@ -202,38 +164,15 @@ function select(number) {
   showMoment(playback.now());
 }
 
-/** Shows the tracker, recording and tag of a line of the table. */
-function chooseLine([run, name, tag, station]) {
-  if (data.runs[run] !== state.run) loadRun(run);
-  const number = state.run.recordings.findIndex((recording) => recording.name === name);
-  if (number < 0) return;
-  if (state.run.recordings[number] !== state.recording) loadRecording(number);
-  const track = trackOf(state.recording.tracks, tag, station);
-  if (track >= 0) select(track);
-  byId("replay").scrollIntoView({ behavior: "smooth" });
-}
-
 function listen() {
-  const changes = { tag: select, colour: drawPlan, tail: () => showMoment(playback.now()), tracker: loadRun, recording: loadRecording };
+  const changes = { tag: select, colour: drawPlan, tracker: loadRun, recording: loadRecording };
   for (const [id, change] of Object.entries(changes)) byId(id).addEventListener("change", (event) => change(Number(event.target.value)));
-  document.querySelectorAll("#metrics tbody tr").forEach((line, k) => line.addEventListener("click", () => chooseLine(data.lines[k])));
-  document.documentElement.addEventListener("theme", drawAll);
+  onTheme(drawAll);
   const isEstimate = ({ data: { meta } }) => meta === "estimates";
-  plot.on("plotly_hover", ({ points: [point], event }) => {
-    const { recording } = state, row = point.customdata;
-    if (isEstimate(point)) showTip([["tag", nameOf(recording.tracks[recording.trackOf[row]])], ...numbersOf(recording, row)], event);
-  });
-  plot.on("plotly_unhover", () => showTip(null));
   plot.on("plotly_click", ({ points: [point] }) => isEstimate(point) && playback.go(state.recording.columns.t[point.customdata]));
   for (const event of ["plotly_relayouting", "plotly_relayout", "plotly_afterplot"]) plot.on(event, () => showMoment(playback.now()));
   series.on("plotly_click", ({ points: [point] }) => playback.go(point.x - state.recording.start));
-  series.on("plotly_relayout", (change) => {
-    if (!Object.keys(change).some((key) => key.startsWith("xaxis"))) return;
-    const range = series._fullLayout.xaxis.range.map((t) => t - state.recording.start);
-    setWindow(change["xaxis.autorange"] ? [-Infinity, Infinity] : range);
-    drawSeries();
-    drawPlan();
-  });
+  series.on("plotly_relayout", () => placeCursor(playback.now()));
   addEventListener("resize", () => showMoment(playback.now()));
 }
 

@@ -1,7 +1,7 @@
 // What moves over the floor plan, in SVG above it: tags, tails, ellipses, truth; drawn anew for each moment.
 
 const LEVEL_95 = 5.991464547;  // quantile of chi squared with two degrees of freedom
-const FADE_S = 3;  // a tag without an estimate for longer is not drawn
+const TAIL_S = 5, FADE_S = 3;  // a tag without an estimate for longer is not drawn
 
 function element(kind, className, parent, attributes = {}) {
   const made = parent.appendChild(document.createElementNS("http://www.w3.org/2000/svg", kind));
@@ -12,11 +12,10 @@ function element(kind, className, parent, attributes = {}) {
 
 const set = (made, attributes) => Object.entries(attributes).forEach(([name, value]) => made.setAttribute(name, value));
 
-/** The overlay of the chart `plot`; `load(recording, view, others)`, `draw(time, selected, tail, from)` shows a moment.
+/** The overlay of the chart `plot`; `load(recording, view, others)`, `draw(time, selected)` shows a moment.
  *
- * `others`: of other trackers the same recording, its view and a colour; their estimates are open circles, whose
- * numbers `tell(pairs, event)` shows while the pointer is on them. `from`: no estimate before it is drawn. */
-function makeOverlay(plot, tell) {
+ * `others`: of other trackers the same recording, its view and a colour; their estimates are open circles. */
+function makeOverlay(plot) {
   const svg = element("svg", "overlay", plot), frame = element("g", "", svg, { "clip-path": "url(#plan-clip)" });
   const box = element("rect", "", element("clipPath", "", svg, { id: "plan-clip" }));
   let recording = null, view = null, parts = [];
@@ -34,10 +33,6 @@ function makeOverlay(plot, tell) {
       part.tag.dataset.tag = nameOf(track);
       part.others = others.map((other) => {
         const circle = element("circle", "other", group, { r: 6, stroke: other.colour });
-        circle.dataset.tag = nameOf(track);
-        circle.addEventListener("pointermove", (event) => tell(
-          [["tracker", other.name], ["tag", nameOf(track)], ...numbersOf(other.recording, Number(circle.dataset.row))], event));
-        circle.addEventListener("pointerleave", () => tell(null));
         return { circle, other, track: other.recording.tracks[trackOf(other.recording.tracks, track.tag, track.station)] };
       });
       return part;
@@ -51,21 +46,20 @@ function makeOverlay(plot, tell) {
     return row >= 0 && Number.isFinite(v0[row]) && time - t[row] <= FADE_S ? row : -1;
   }
 
-  function draw(time, selected, tail, from) {
+  function draw(time, selected) {
     const { xaxis, yaxis } = plot._fullLayout, { columns, tracks } = recording, { t, v0, e0 } = columns;
     const px = (x) => xaxis._offset + (x - xaxis.range[0]) / (xaxis.range[1] - xaxis.range[0]) * xaxis._length;
     const py = (y) => yaxis._offset + yaxis._length * (1 - (y - yaxis.range[0]) / (yaxis.range[1] - yaxis.range[0]));
     const corners = (places) => places.map(([x, y]) => `${px(x).toFixed(1)},${py(y).toFixed(1)}`).join(" ");
     set(box, { x: xaxis._offset, y: yaxis._offset, width: xaxis._length, height: yaxis._length });
     tracks.forEach((track, k) => {
-      const part = parts[k], row = present(recording, track, time), there = row >= 0 && t[row] >= from;
-      part.group.style.display = there && (selected < 0 || selected === k) ? "" : "none";
+      const part = parts[k], row = present(recording, track, time);
+      part.group.style.display = row >= 0 && (selected < 0 || selected === k) ? "" : "none";
       if (part.group.style.display) return;
       const [x, y] = view.at(row), points = [];
       set(part.tag, { cx: px(x), cy: py(y), r: selected === k ? 7 : 5.5 });
       part.tag.classList.toggle("lost", recording.statuses[columns.status[row]] === "lost");
-      part.tag.dataset.row = row;
-      for (let at = row; at >= track.first && time - t[at] <= tail && t[at] >= from; at--) {
+      for (let at = row; at >= track.first && time - t[at] <= TAIL_S; at--) {
         if (Number.isFinite(v0[at])) points.push(view.at(at));
       }
       part.tail.setAttribute("points", corners(points));
@@ -74,7 +68,6 @@ function makeOverlay(plot, tell) {
         const at = present(other.recording, same, time + recording.start - other.recording.start);
         circle.style.display = at >= 0 ? "" : "none";
         if (at < 0) continue;
-        circle.dataset.row = at;
         const [u, v] = other.view.at(at).map((value, axis) => value + other.recording.origin[axis] - recording.origin[axis]);
         set(circle, { cx: px(u), cy: py(v) });
       }

@@ -25,15 +25,15 @@ function floorOf(recording) {
 
 const MOST_TRUTHS = 6;  // more true paths would hide the estimates
 
-/** The traces of the plan by its `view`; `shown`: the tracks whose estimates are drawn; `window`: their times. */
-function planTraces(recording, view, shown, kind, window) {
+/** The traces of the plan by its `view`; `shown`: the tracks whose estimates are drawn. */
+function planTraces(recording, view, shown, kind) {
   const { columns, tracks } = recording, ink = themed("ink"), rows = [], truth = [], ends = [];
   for (const k of shown) {
-    const inWindow = rowsWithin(columns, tracks[k], window).filter((row) => Number.isFinite(columns.v0[row]));
-    rows.push(...thinned(inWindow, columns.t, FAST ? Infinity : Math.max(50, 3000 / shown.length)));
-    if (shown.length > MOST_TRUTHS || !inWindow.length) continue;
-    truth.push(...broken(thinned(inWindow, columns.t, Math.max(400, 12000 / shown.length)), columns.t, view.truth), null);
-    ends.push([view.at(inWindow[0]), "circle-open"], [view.at(inWindow.at(-1)), "square-open"]);
+    const known = rowsOf(tracks[k]).filter((row) => Number.isFinite(columns.v0[row]));
+    rows.push(...thinned(known, columns.t, FAST ? Infinity : Math.max(50, 3000 / shown.length)));
+    if (shown.length > MOST_TRUTHS || !known.length) continue;
+    truth.push(...broken(thinned(known, columns.t, Math.max(400, 12000 / shown.length)), columns.t, view.truth), null);
+    ends.push([view.at(known[0]), "circle-open"], [view.at(known.at(-1)), "square-open"]);
   }
   const along = (places) => ({ x: places.map((p) => p && p[0]), y: places.map((p) => p && p[1]) });
   const still = { hoverinfo: "skip" }, traces = [...view.background()];
@@ -41,32 +41,20 @@ function planTraces(recording, view, shown, kind, window) {
     traces.push({ ...still, ...along(truth), mode: "lines", name: "truth", line: { color: ink, width: 1.2, dash: "dash" } });
   }
   traces.push({
-    ...along(rows.map(view.at)), customdata: rows, type: MARKS, mode: "markers", name: "estimates", hoverinfo: "none", meta: "estimates",
-    showlegend: kind !== "source", marker: { size: rows.length > 5000 ? 3.5 : 5, opacity: 0.75, ...markerColours(recording, kind, rows) },
+    ...along(rows.map(view.at)), customdata: rows, type: MARKS, mode: "markers", name: "estimates", hoverinfo: "x+y", meta: "estimates",
+    marker: { size: rows.length > 5000 ? 3.5 : 5, opacity: 0.75, ...markerColours(recording, kind, rows) },
   });
-  if (kind === "source") recording.sources.forEach((name, k) => traces.push({ x: [null], y: [null], mode: "markers", name: escaped(name), marker: { color: lineColour(k), size: 8 } }));
   traces.push({ ...still, ...along(ends.map(([place]) => place)), mode: "markers", name: "start ○ and end □",
                 marker: { symbol: ends.map(([, mark]) => mark), size: 13, color: ink, line: { width: 2 } } });
   return [...traces, ...view.mounted()];
 }
 
-/** Anchors or stations; those above each other share a label. */
-function mountedAt(list, name, symbol) {
-  if (!list.length) return [];
-  const extent = (axis) => Math.max(...list.map((one) => one.at[axis])) - Math.min(...list.map((one) => one.at[axis]));
-  const near = Math.max(extent(0), extent(1)) / 40, groups = [];
-  for (const one of list) {
-    const group = groups.find(([first]) => Math.hypot(first.at[0] - one.at[0], first.at[1] - one.at[1]) <= near);
-    if (group) group.push(one); else groups.push([one]);
-  }
-  const naturally = (a, b) => a.localeCompare(b, "en", { numeric: true });
-  return [{
-    x: groups.map((g) => g[0].at[0]), y: groups.map((g) => g[0].at[1]), mode: "markers+text", name, textposition: "bottom center",
-    text: groups.map((g) => escaped(g.map((one) => one.name).sort(naturally).join(", "))), cliponaxis: false,
-    hovertext: groups.map((g) => g.map((one) => `${name} ${escaped(one.name)}, z ${fixed(one.at[2], 2)} m`).join("<br>")),
-    hoverinfo: "text", textfont: { size: 11 }, marker: { symbol, size: 10, color: themed("soft") },
-  }];
-}
+/** Anchors or stations. */
+const mountedAt = (list, name, symbol) => !list.length ? [] : [{
+  x: list.map((one) => one.at[0]), y: list.map((one) => one.at[1]), mode: "markers+text", name, textposition: "bottom center",
+  text: list.map((one) => escaped(one.name)), cliponaxis: false, hoverinfo: "text", textfont: { size: 11 },
+  hovertext: list.map((one) => `${name} ${escaped(one.name)}, z ${fixed(one.at[2], 2)} m`), marker: { symbol, size: 10, color: themed("soft") },
+}];
 
 /** The range of an axis: rig, truth, and 98 % of the estimates of each track, with a margin. */
 function planRange({ columns, rig, tracks }, axis) {

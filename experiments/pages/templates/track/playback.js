@@ -3,17 +3,17 @@
 /** A clock from 0 to `end` s; `show(time)` is called whenever its time changes. `step(time, direction)`: the next time. */
 function makePlayback(show, step) {
   const [button, slider, speed] = ["play", "time", "speed"].map((id) => document.getElementById(id));
-  let time = 0, begin = 0, end = 1, before = null;
+  let time = 0, end = 1, before = null;
 
   function go(next) {
-    slider.value = time = Math.min(Math.max(next, begin), end);
+    slider.value = time = Math.min(Math.max(next, 0), end);
     show(time);
   }
 
   function play(on) {
     before = on ? performance.now() : null;
     button.textContent = on ? "❚❚" : "▶";
-    if (on && time >= end) go(begin);
+    if (on && time >= end) go(0);
     if (on) requestAnimationFrame(frame);
   }
 
@@ -28,7 +28,7 @@ function makePlayback(show, step) {
   slider.addEventListener("input", () => go(Number(slider.value)));
   document.addEventListener("keydown", (event) => {
     const steps = event.shiftKey ? 10 : 1, moves = {
-      " ": () => play(before === null), Home: () => go(begin), End: () => go(end),
+      " ": () => play(before === null), Home: () => go(0), End: () => go(end),
       ArrowLeft: () => go(step(time, -steps)), ArrowRight: () => go(step(time, steps)),
     };
     if (!moves[event.key] || event.target.closest("select, button") || event.ctrlKey || event.metaKey || event.altKey) return;
@@ -39,15 +39,9 @@ function makePlayback(show, step) {
   return {
     go,
     now: () => time,
-    /** Keeps the clock between two times of the recording. */
-    limit(from, to) {
-      [begin, end] = [Math.max(from, 0), Math.min(to, Number(slider.max))];
-      go(time);
-    },
     load(length, first) {
       play(false);
-      [begin, end] = [0, length];
-      slider.max = end;
+      slider.max = end = length;
       go(first);
     },
   };

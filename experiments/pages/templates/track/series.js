@@ -2,16 +2,16 @@
 
 const LINE_POINTS = 2500, PANEL = 150;
 
-/** Traces and layout of the panels for a track and a window of times: axes, NIS, kinds of residuals. */
-function seriesFigure(recording, number, window) {
-  const { columns, tracks, angles } = recording, track = tracks[number], rows = rowsWithin(columns, track, window);
+/** Traces and layout of the panels for a track: axes, NIS, kinds of residuals. */
+function seriesFigure(recording, number) {
+  const { columns, tracks, angles } = recording, track = tracks[number], rows = rowsOf(track);
   const known = tracks.some((one) => one.rmse !== null), panels = [];
   for (const axis of recording.axes) {
     if (angles || !known) panels.push((on) => valuePanel(recording, track, rows, axis, on));
     if (known) panels.push((on) => errorPanel(recording, rows, axis, on));
   }
   if (recording.nisBand) panels.push((on) => nisPanel(recording, rows, on));
-  for (const channel of recording.residuals.channels) panels.push((on) => residualPanel(recording, channel, track.tag, window, on));
+  for (const channel of recording.residuals.channels) panels.push((on) => residualPanel(recording, channel, track.tag, on));
   const traces = [], shapes = [], layout = { hovermode: "x", uirevision: `${recording.name} ${number}`, height: 90 + PANEL * panels.length };
   const names = new Set(), height = 1 / panels.length;
   panels.forEach((panel, k) => {
@@ -80,11 +80,11 @@ function nisPanel({ columns, nisBand, start }, rows, on) {
 }
 
 /** Residuals of the readings of a tag, in the colours of their anchors or stations. */
-function residualPanel(recording, { name, unit, sources, points: { t, tag, source, value } }, of, window, on) {
+function residualPanel(recording, { name, unit, sources, points: { t, tag, source, value } }, of, on) {
   const number = recording.residuals.tags.indexOf(of);
   const lines = sources.map((sourceName, k) => {
     const own = [...value.keys()].filter((at) =>
-      source[at] === k && tag[at] === number && t[at] >= window[0] && t[at] <= window[1] && Number.isFinite(value[at]));
+      source[at] === k && tag[at] === number && Number.isFinite(value[at]));
     const shown = FAST ? own : thinned(own, value, 1500 / sources.length);
     return { ...on, type: MARKS, mode: "markers", x: shown.map((at) => recording.start + t[at]), y: shown.map((at) => value[at]),
              name: sources.length > 1 ? escaped(sourceName) : undefined, marker: { size: 3.5, color: lineColour(k), opacity: 0.7 },
