@@ -16,9 +16,11 @@ from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.calibration import (
+    ANGLE_PRIOR,
     ANGLES,
     DETERMINED,
     OFFSET_SIGMA,
+    RANGE_PRIOR,
     UNCALIBRATED,
     Calibration,
     angle_terms,
@@ -86,16 +88,16 @@ class Source(NamedTuple):
         """The readings (N,), rad or m, NaN where not measured."""
         return self.pairs.measured[:, self.column]
 
-    def fit(self, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def fit(self, calibration: Calibration) -> tuple[np.ndarray, ...]:
         """Terms, covariance, and whether each is determined."""
         if self.is_angle:
             station, k = calibration.stations[self.name], self.column
-            return station.coefficients[k], station.covariances[k], station.determined[k]
+            return _with_verdict(station.coefficients[k], station.covariances[k], ANGLE_PRIOR[1])
         if self.table == "differences":
             known, k = calibration.differences, calibration.differences.anchors.index(self.name)
-            return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]]
+            return _with_verdict(known.biases[[k]], known.covariance[[k]][:, [k]], RANGE_PRIOR[1][:1])
         anchor = calibration.anchors[self.name]
-        return anchor.coefficients, anchor.covariance, anchor.determined
+        return _with_verdict(anchor.coefficients, anchor.covariance, RANGE_PRIOR[1])
 
     def errors(self, calibration: Calibration | None) -> np.ndarray:
         """Measured minus expected values (N,), rad or m, NaN where not measured; None: without a calibration."""
@@ -185,6 +187,11 @@ def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
     for table, (kind, quantities) in of.items():
         for name, pairs in calibration_pairs(folders, KINDS[kind]).items():
             yield from (Source(table, name, quantity, k, pairs) for k, quantity in enumerate(quantities))
+
+
+def _with_verdict(terms: np.ndarray, covariance: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Terms, their covariance, and whether the recordings of the fit determine each, rather than its prior."""
+    return terms, covariance, np.sqrt(np.diag(covariance)) < DETERMINED * prior
 
 
 def _term(value: float, sigma: float, determined: bool) -> str:
