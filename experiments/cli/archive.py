@@ -34,7 +34,7 @@ from trackwright.trackers.core.errors import has_control, one_line
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.metrics import added, metrics, sums
-from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, held, json_text, write_whole
+from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, json_text, write_whole
 from trackwright.trackers.recordings.folder import content_of
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackwright.trackers.recordings.tracks_table import EVALUATION, RECORDINGS, RESULTS, SOURCES, TRACKS, sources_text
@@ -178,24 +178,23 @@ def track_archive(paths: Sequence[Path], options: TrackOptions, begin: Begin) ->
         found[path] = result
         advance(1)
 
-    with held(options.out):
-        with cluster_executor(options.cluster) if options.cluster else Threads() as executor:
-            run_parts(paths, archive.part, archive, executor, each, _refusal)
-        lines = [line for path in paths for line in found[path].refused]
-        if not any(result.outcomes for result in found.values()):
-            _list_refused(lines[1:], "")
-            raise tw.UnusableInput(lines[0])
-        begin("tables")
-        results = options.out / RESULTS
-        atomic_write(results, _results([(path, found[path]) for path in paths]).write_csv)
-        by_tracker: dict[str, list[tuple[Path, Summary]]] = {}
-        for path in paths:
-            for summary in found[path].outcomes:
-                by_tracker.setdefault(summary["short"], []).append((path, summary))
-        shown = {}
-        for name, of in by_tracker.items():
-            out = options.out if len(by_tracker) == 1 else output_folder(options.out / name)
-            shown[name] = _write_run(name, sorted(of, key=lambda one: str(one[1]["recording"])), out, archive)
+    with cluster_executor(options.cluster) if options.cluster else Threads() as executor:
+        run_parts(paths, archive.part, archive, executor, each, _refusal)
+    lines = [line for path in paths for line in found[path].refused]
+    if not any(result.outcomes for result in found.values()):
+        _list_refused(lines[1:], "")
+        raise tw.UnusableInput(lines[0])
+    begin("tables")
+    results = options.out / RESULTS
+    atomic_write(results, _results([(path, found[path]) for path in paths]).write_csv)
+    by_tracker: dict[str, list[tuple[Path, Summary]]] = {}
+    for path in paths:
+        for summary in found[path].outcomes:
+            by_tracker.setdefault(summary["short"], []).append((path, summary))
+    shown = {}
+    for name, of in by_tracker.items():
+        out = options.out if len(by_tracker) == 1 else output_folder(options.out / name)
+        shown[name] = _write_run(name, sorted(of, key=lambda one: str(one[1]["recording"])), out, archive)
     print(f"wrote {results}, a row for each recording and tracker")
     if noticed := sum(bool(result.notices and result.outcomes) for result in found.values()):
         notice(f"notice: {counted(noticed, 'recording')} with notices: column 'notices' of {results}")

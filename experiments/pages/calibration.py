@@ -16,9 +16,11 @@ from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.calibration import (
+    ANGLE_PRIOR,
     ANGLES,
     DETERMINED,
     OFFSET_SIGMA,
+    RANGE_PRIOR,
     UNCALIBRATED,
     Calibration,
     range_terms,
@@ -75,15 +77,15 @@ class Source(NamedTuple):
         return (180 / np.pi, "°") if self.table == "stations" else (100.0, " cm")
 
     def fit(self, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Terms, covariance, and whether each is determined."""
+        """Terms, their standard deviations, and whether the recordings determine each, rather than the prior."""
         if self.table == "stations":
             station, k = calibration.stations[self.name], self.column
-            return station.coefficients[k], station.covariances[k], station.determined[k]
+            return _told(station.coefficients[k], station.covariances[k], ANGLE_PRIOR[1])
         if self.table == "differences":
             known, k = calibration.differences, calibration.differences.anchors.index(self.name)
-            return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]]
+            return _told(known.biases[[k]], known.covariance[[k]][:, [k]], RANGE_PRIOR[1][:1])
         anchor = calibration.anchors[self.name]
-        return anchor.coefficients, anchor.covariance, anchor.determined
+        return _told(anchor.coefficients, anchor.covariance, RANGE_PRIOR[1])
 
     def errors(self, calibration: Calibration | None) -> np.ndarray:
         """Measured minus expected values (N,), rad or m, NaN where not measured; None: without a calibration."""
@@ -131,8 +133,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         except UnusableInput:
             without.append(None)
     for source in sources:
-        terms, covariance, determined = source.fit(calibration)
-        cells = [_term(*values) for values in zip(terms, np.sqrt(np.diag(covariance)), determined, strict=True)]
+        cells = [_term(*values) for values in zip(*source.fit(calibration), strict=True)]
         left_out, of = np.full(len(source.pairs.true), np.nan), source.pairs.recording
         for number, other in enumerate(without):
             if other is not None:
@@ -161,6 +162,11 @@ def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
     for table, (kind, quantities) in of.items():
         for name, pairs in calibration_pairs(folders, KINDS[kind]).items():
             yield from (Source(table, name, quantity, k, pairs) for k, quantity in enumerate(quantities))
+
+
+def _told(terms: np.ndarray, covariance: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    sigmas = np.sqrt(np.diag(covariance))
+    return terms, sigmas, sigmas < DETERMINED * prior
 
 
 def _term(value: float, sigma: float, determined: bool) -> str:

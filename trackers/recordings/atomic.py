@@ -20,11 +20,6 @@ from pydantic_core import to_json
 
 from trackwright.trackers.core.errors import UnusableInput
 
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks
-    fcntl = None  # type: ignore[assignment]
-
 PREFIX = ".trackwright-"
 ABANDONED_S = 86_400.0
 """Age, s, from which on a temporary file is what a killed process left."""
@@ -110,21 +105,3 @@ _clear_once = functools.lru_cache(maxsize=64)(remove_abandoned)
 def _remove(path: Path) -> None:
     with suppress(OSError):
         shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
-
-
-@contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """Keeps other processes that ask for it out of a folder; raises UnusableInput where one has it."""
-    lock = os.open(folder, os.O_RDONLY) if fcntl else None
-    try:
-        if lock is not None:
-            with suppress(OSError):  # a file system without locks
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError as error:
-                    fix = "wait until that has ended, or choose another folder"
-                    raise UnusableInput(f"{folder}: another command writes to it; {fix}") from error
-        yield
-    finally:
-        if lock is not None:
-            os.close(lock)

@@ -110,12 +110,9 @@ def read_model(path: Path, model: type[T], expected: str, fix: str = "", version
     elif "error" in error.get("ctx", {}):
         words = str(error["ctx"]["error"])
     else:
-        shape = re.search(r"Float\[ndarray, '(.*)'\]", error["msg"])
-        said = (
-            f"numbers of shape {shape[1].strip()}"
-            if shape
-            else error["msg"].replace("Input should be ", "").replace("a valid dictionary", "a table")
-        )
+        said = error["msg"].replace("Input should be ", "").replace("a valid dictionary", "a table")
+        said = re.sub(r"\w+ should have (.*) after validation.*", r"\1", said)
+        said = re.sub(r".*Float\[ndarray, '(.*)'\].*", r"numbers of shape \1", said).replace("  ", " ")
         words = f"= {reprlib.repr(value)}, expected {said}"
     separator = " " if words.startswith(("=", "is ")) else ": "
     raise UnusableInput(f"{path}{': ' * bool(place)}{place}{separator}{words}; {fix}")
