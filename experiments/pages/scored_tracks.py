@@ -17,7 +17,6 @@ from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.data.seconds import zero_of
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.bounds import bounds_of
 from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
 from trackwright.trackers.evaluation.metrics import metrics, sums
@@ -145,11 +144,6 @@ class ScoredRecording:
     def is_covered(self) -> bool:
         """Whether some row has a truth beside its ellipse."""
         return any(np.isfinite(nees).any() for nees, _ in self.nees_by_shape().values())
-
-    @cached_property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Times (t,), s, and Cramér–Rao bounds (t, 3), m, on the standard deviations; None without."""
-        return bounds_of(self.folder, self.batches) if not self.angles and self.scored.any() else None
 
     def rows_of(self, track: int) -> slice:
         """The rows of a track by its number."""

@@ -67,8 +67,8 @@ def floor_plan(scored: ScoredRecording, tags: Sequence[str] = ()) -> Chart:
 def error_over_time(scored: ScoredRecording, tag: str | None = None, axis: str = "") -> Chart:
     """The horizontal position error of a tag over time, with the reported standard deviation of that distance.
 
-    `tag`: by default the one with the largest RMSE. `axis`: x, y or z for the error along that axis, with ± 3 σ and the
-    Cramér–Rao bound. Raises UnusableInput without truth, and for an unknown tag.
+    `tag`: by default the one with the largest RMSE. `axis`: x, y or z for the error along that axis, with ± 3 σ.
+    Raises UnusableInput without truth, and for an unknown tag.
     """
     rows, several = scored.rows_of(track_number(scored, tag)), tag is None and len(scored.rmse) > 1
     errors, sigmas = scored.errors[rows], scored.sigmas[rows]
@@ -83,10 +83,6 @@ def error_over_time(scored: ScoredRecording, tag: str | None = None, axis: str =
         error, sigma, low, word = scored.miss[rows], np.hypot(sigmas[:, 0], sigmas[:, 1]), 0.0, "standard deviation"
     at, error, sigma = broken_at_gaps(scored.times[rows] - scored.zero, error, sigma)
     parts = [band(at, low * sigma, sigma, f"reported {word}"), Line(at, error, "error", width=0.9)]
-    if axis and scored.bounds is not None:
-        at, bound = broken_at_gaps(scored.bounds[0] - scored.zero, 3 * scored.bounds[1][:, known[axis]])
-        for limit, label in ((bound, "± 3 × Cramér–Rao bound of this model"), (-bound, "")):
-            parts.append(Line(at, limit, label, style.VERMILION, 1.1, "dash"))
     name, label = f"error-over-time{axis and f'-{axis}'}", f"error in {axis} (m)" if axis else "horizontal error (m)"
     look: dict[str, Any] = {"ylim": (None if axis else 0, None), "robust": True, "note": note, **WIDE}
     return Chart(name, "Error over time", time_label(scored.zero), label, parts, **look)

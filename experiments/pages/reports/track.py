@@ -150,7 +150,7 @@ def recording_data(
     ]
     source, sources = _sources(recording, of_chosen[drawn])
     columns = _columns(recording, of_chosen[drawn], start, origin) | {"source": source}
-    (tags, found), bounds = residuals(recording), recording.bounds
+    tags, found = residuals(recording)
     every = max(1, -(-sum(len(one.times) for one in found) // most_points))
     channels = [
         {"name": one.name, "unit": one.unit, "sources": one.sources, "points": _packed({
@@ -159,17 +159,15 @@ def recording_data(
         for one in found
     ]  # fmt: skip
     axes = [
-        {"name": c.name, "unit": c.unit, "value": f"v{k}", "error": f"e{k}", "sigma": f"s{k}", "bound": f"b{k}"}
+        {"name": c.name, "unit": c.unit, "value": f"v{k}", "error": f"e{k}", "sigma": f"s{k}"}
         for k, c in enumerate(recording.components())
     ]
-    limits = None if bounds is None else {"t": bounds[0] - start} | {f"b{k}": bounds[1][:, k] for k in range(3)}
     return {
         "name": folder.name, "start": start - recording.zero, "end": end - recording.zero,
         "timeLabel": time_label(recording.zero), "origin": origin.tolist(), "angles": angles, "rows": len(times),
         "drawn": len(drawn), "trackCount": len(lengths), "tracks": tracks, "axes": axes, "columns": _packed(columns),
         "statuses": STATUSES, "sources": sources, "nisBand": _nis_band(recording), "events": happened[:MOST_EVENTS],
         "eventCount": len(events), "rig": _rig(folder.rig, origin),
-        "bounds": limits and _packed(limits, max(1, len(limits["t"]) // 2000)),
         "residuals": {"tags": tags, "every": every, "channels": channels},
         "charts": [chart.plotly() for chart in page_charts(recording, found)],
     }  # fmt: skip

@@ -1,4 +1,4 @@
-// Charts over time of one track: errors with the reported 3 σ and the bound, NIS, residuals of the readings.
+// Charts over time of one track: errors with the reported 3 σ, NIS, residuals of the readings.
 
 const LINE_POINTS = 2500, PANEL = 150;
 
@@ -64,12 +64,8 @@ function valuePanel(recording, track, rows, axis, on) {
 }
 
 function errorPanel(recording, rows, axis, on) {
-  const { columns, bounds, start } = recording, errors = columns[axis.error];
+  const { columns } = recording, errors = columns[axis.error];
   const lines = withBand(recording, rows, axis, errors, 0, "error", on);
-  for (const sign of bounds?.[axis.bound] ? [1, -1] : []) {
-    lines.push({ ...on, x: Array.from(bounds.t, (s) => s + start), y: Array.from(bounds[axis.bound], (b) => 3 * sign * b), hoverinfo: "skip",
-                 name: "± 3 × Cramér–Rao bound", line: { color: "#d55e00", width: 1.1, dash: "dash" } });
-  }
   // Every error that lasts for two rows, and the usual 3 σ band up to four times as much.
   const lasting = quantile(rows.map((row, k) => Math.min(Math.abs(errors[row]), Math.abs(errors[rows[k + 1]] ?? 0))), 1);
   const band = 3 * quantile(rows.map((row) => columns[axis.sigma][row]), 0.9), half = 1.1 * Math.max(lasting, Math.min(band, 4 * lasting || Infinity)) || 1;

@@ -133,13 +133,11 @@ def test_every_chart_of_a_recording_takes_next_to_no_rows(rows):
         charts.error_over_time(one, axis="z")
 
 
-def test_an_error_over_time_has_its_band_and_its_bound(scored):
-    object.__setattr__(bounded := replace(scored), "bounds", (scored.times[:5], np.full((5, 3), 0.1)))
-    lines = _lines(charts.error_over_time(bounded, "A", "x"))
+def test_an_error_over_time_has_its_band(scored):
+    lines = _lines(charts.error_over_time(scored, "A", "x"))
     rows = scored.rows_of(charts.track_number(scored, "A"))
     np.testing.assert_allclose(lines["error"].y, scored.errors[rows, 0])
     assert np.nanmax(lines["reported ± 3 σ"].y) == pytest.approx(0.15)
-    np.testing.assert_allclose(lines["± 3 × Cramér–Rao bound of this model"].y, 0.3)
 
 
 @pytest.mark.parametrize("in_plane", [True, False])
