@@ -10,20 +10,27 @@ import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
 from trackwright.experiments.monte_carlo.tracked import TrackedChunk
+from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.model.algebra import Vector
+from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
 from trackwright.trackers.core.model.tunable import tunables, with_values
 from trackwright.trackers.core.run.smoother import Smoothed
-from trackwright.trackers.evaluation.bounds import bounds_of
-from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.evaluation.bounds import posterior_bound
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks import rounded
 from trackwright.trackers.recordings.trajectories import Trajectories
+
+BOUNDED = 256
+"""Largest number of trajectories over which the information of a Cramér–Rao bound is averaged."""
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
     """The sums, histograms and measures of these trajectories by tracker; of the `first` chunk bounds and times, too.
     Raises UnusableInput where world, trackers and values do not fit each other."""
-    folder, prepared = _prepared(study, condition, ids)
+    prepared = _prepared(study, condition, ids)
     results = []
     for name, config in study.trackers.items():
         batches = prepared[name]
@@ -42,7 +49,7 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
                 seconds = _track(batches, ids, study, config)[1]
                 arrays["us_per_row"] = np.array(1e6 * seconds / max(tracked.count, 1))
             if any(metric.startswith("bound") for metric in study.metrics):
-                arrays["bounds"] = _bounds(folder, batches)
+                arrays["bounds"] = _bounds(batches)
         results.append(arrays)
     return results
 
@@ -53,11 +60,9 @@ def require_fitting_parts(study: Study) -> None:
         _prepared(study, next(c for c in study.conditions if c.world == world), np.zeros(1, int))
 
 
-def _prepared(
-    study: Study, condition: Condition, ids: np.ndarray
-) -> tuple[RecordingFolder, dict[str, list[TrackerBatch]]]:
-    """The simulated recording of the trajectories with these ids, and the batches of every tracker, with the values of
-    its own and of the grid. Raises UnusableInput for a name in the grid that matches no tunable of any tracker."""
+def _prepared(study: Study, condition: Condition, ids: np.ndarray) -> dict[str, list[TrackerBatch]]:
+    """The batches of every tracker, with the values of its own and of the grid, for a simulated recording of the
+    trajectories with these ids. Raises UnusableInput for a name in the grid that matches no tunable of any tracker."""
     where = f"study '{study.name}'"
     try:
         folder = study.worlds[condition.world].make(ids, study.seed, **study.numbers(condition))
@@ -81,7 +86,7 @@ def _prepared(
         if not fnmatch.filter(known, pattern):
             fix = f"expected 'world.' and a parameter of the worlds, or one of {', '.join(sorted(known))}"
             raise UnusableInput(f"{where}: grid '{pattern}': no tracker has such a tunable; {fix}")
-    return folder, prepared
+    return prepared
 
 
 def _track(
@@ -103,11 +108,20 @@ def _track(
     return TrackedChunk(ids, tracked, all(batch.planar for batch in batches), config.every), seconds
 
 
-def _bounds(folder: RecordingFolder, batches: list[TrackerBatch]) -> np.ndarray:
+def _bounds(batches: list[TrackerBatch]) -> np.ndarray:
     """The Cramér–Rao bound, m, horizontal and 3-D: root mean square over the second half of the rows; NaN without one.
-    The first half is left out, since the bound of the first rows is the prior of the tracker's start."""
-    bounds = bounds_of(folder, batches)
-    if bounds is None:
+    The first half is left out, since the bound of the first rows is the prior of the tracker's start. An extended
+    Kalman filter of position and velocity at the times of its rows has one, for tags that share the first's times."""
+    tracker, recordings = batches[0].tracker, [t.recording for t in batches[0].trajectories[:BOUNDED]]
+    same = [one for one in recordings if np.array_equal(one.times, recordings[0].times)]
+    if not isinstance(tracker, Tracker) or tracker.latency is not None or "position" not in same[0].truth:
         return np.full(2, np.nan)
-    squares = (bounds[1][len(bounds[1]) // 2 :] ** 2).mean(axis=0)
-    return np.sqrt([squares[:2].sum(), squares.sum()])
+    if type(tracker.motion) is not ConstantVelocity or not isinstance(tracker.filter, ExtendedKalman):
+        return np.full(2, np.nan)
+    batch, d = stack(same), tracker.motion.dimensions
+    positions = np.stack([one.truth["position"][0] for one in same], axis=-1)
+    speeds = np.gradient(positions, axis=0) / np.gradient(same[0].times)[:, None, None]
+    states = (Vector.of(np.asarray(x[:, k], batch.dt.dtype) for k in range(d)) for x in (positions, speeds))
+    sigmas = posterior_bound(tracker, batch, Kinematic(*states))[len(batch.dt) // 2 :, :d]
+    squares = (sigmas**2).mean(axis=0)
+    return np.sqrt([squares[:2].sum(), squares.sum() if d == 3 else np.nan])

@@ -2,66 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from trackwright.trackers.core.data.recording import Batch, stack
-from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.algebra import Vector, dense
-from trackwright.trackers.core.model.motion import Kinematic
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Row
 from trackwright.trackers.core.model.state import State, coordinates, local
 from trackwright.trackers.core.model.tunable import freeze
 from trackwright.trackers.core.run.chunks import as_dtype, called
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch
-
-MAX_RUNS = 256
-"""Largest number of tags over which the information is averaged."""
 
 ROUNDING = 100.0
 """Relative difference of two equal Jacobians by rounding, in units of the resolution of the floating-point type."""
-
-
-class NoBoundError(ValueError):
-    """A motion for which the recursion gives no bound."""
-
-
-def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times (t,), s, and bounds (t, 3), m, on the standard deviations of a recording's positions, over the known truth.
-
-    The information is averaged over the tags whose truth has the times of the first. True velocities are difference
-    quotients. None without truth, and for any tracker but an extended Kalman filter of position and velocity with
-    linear motion, at the times of its rows.
-    """
-    mine = [(b.tracker, t.recording) for b in batches for t in b.trajectories if t.folder.name == folder.name]
-    if not mine or "position" not in mine[0][1].truth:
-        return None
-    (tracker, first), known = mine[0], mine[0][1].truth["position"][1]
-    if not isinstance(tracker, Tracker) or not isinstance(tracker.filter, ExtendedKalman) or known.sum() < 3:
-        return None
-    recordings = [r for of, r in mine[:MAX_RUNS] if of is tracker and np.array_equal(r.times, first.times)]
-    recordings = [r for r in recordings if np.array_equal(r.truth["position"][1], known)]
-    rows, start = slice(np.argmax(known), len(known) - np.argmax(known[::-1])), tracker.start
-    batch, times = stack(recordings).rows(rows), first.times[rows]
-    row = jax.tree_util.tree_map(lambda x: x[0, ..., 0], _rows(batch))
-    mean = jax.eval_shape(lambda row: start.belief(start.candidate(tracker.sensors, row), row).mean, row)
-    if tracker.latency is not None or not isinstance(mean, Kinematic):
-        return None
-    positions = np.stack([r.truth["position"][0][rows] for r in recordings], axis=-1)
-    speeds = np.gradient(positions, axis=0) / np.maximum(np.gradient(times), 1e-3)[:, None, None]
-    parts = ((positions, len(mean.position)), (speeds, len(mean.velocity)))
-    state = Kinematic(*(Vector.of(np.asarray(x[:, k], batch.dt.dtype) for k in range(n)) for x, n in parts))
-    try:
-        bound = posterior_bound(tracker, batch, state)[:, : len(mean.position)]
-    except NoBoundError:
-        return None
-    return times, np.pad(bound, ((0, 0), (0, 3 - bound.shape[1])), constant_values=np.nan)
 
 
 def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.ndarray, "T n"]:
@@ -69,7 +24,7 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
 
     `states`: the true states, leaves (T, B). The recursion starts at the first row with the covariance of the tracker's
     start. The information of later rows is the mean over the valid trajectories; masked channels carry none. Raises
-    NoBoundError where transitions differ between trajectories.
+    ValueError where transitions differ between trajectories.
     """
     tracker = as_dtype(tracker, batch.dt.dtype)
     before = jax.tree_util.tree_map(lambda x: np.concatenate([x[:1], x[:-1]]), states)
@@ -77,7 +32,7 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
     P, F, Q, information, spread = (np.asarray(x, float) for x in found)
     unlike = np.flatnonzero(spread[1:] > ROUNDING * float(jnp.finfo(batch.dt.dtype).eps))
     if len(unlike):
-        raise NoBoundError(
+        raise ValueError(
             f"posterior_bound: row {1 + unlike[0]}: the transitions of {type(tracker.motion).__name__} differ between "
             "trajectories; expected a motion F·state + G·w with F and G the same for all"
         )

@@ -280,10 +280,10 @@ def _mean_norm(volume: Float[np.ndarray, "3 n"], size: Float[np.ndarray, "3 n"])
 def refuse_without_overlap(rows: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> None:
     """Raises UnusableInput, with the recordings, tags and times of both, where no row is scored against a truth."""
     if truths and not is_scored(rows).any():
-        truth = pl.concat(
-            pl.select(recording=pl.lit(name)).join(table.select(pl.col("tag").cast(pl.String), "t_s"), how="cross")
-            for name, table in truths.items()
+        named = (
+            table.with_columns(tag=pl.col("tag").cast(pl.String), recording=pl.lit(n)) for n, table in truths.items()
         )
+        truth = pl.concat(table.select("recording", "tag", "t_s") for table in named)
         known = rows.filter(pl.col("why") != "no estimate")
         raise UnusableInput(
             f"no estimate lies inside a truth: estimates of {_about(known)}, truth of {_about(truth)}; expected the "

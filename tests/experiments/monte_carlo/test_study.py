@@ -13,6 +13,8 @@ from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import run_study
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.experiments.pages.study import to_text
+from trackwright.sim.worlds import station
+from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation
@@ -182,14 +184,14 @@ def test_every_condition_and_tracker_has_its_metrics(whole):
     )
 
 
-@pytest.mark.parametrize("planar", [False, True])
-def test_the_bound_is_the_root_mean_square_of_the_later_half_of_the_rows_in_plane_and_in_space(monkeypatch, planar):
-    sigmas = np.random.default_rng(2).uniform(0.1, 1.0, (7, 3))
-    if planar:
-        sigmas[:, 2] = np.nan
-    monkeypatch.setattr(one_chunk, "bounds_of", lambda folder, batches: (np.arange(7.0), sigmas))
+def test_the_bound_is_the_root_mean_square_of_the_later_half_of_the_rows_in_plane_and_in_space(monkeypatch):
+    folder = station(n=2, seed=1, rows=7).folder()
+    sigmas = np.random.default_rng(2).uniform(0.1, 1.0, (7, 6))
+    monkeypatch.setattr(one_chunk, "posterior_bound", lambda tracker, batch, states: sigmas)
     expected = [np.sqrt(np.mean(np.sum(sigmas[3:, :d] ** 2, axis=1))) for d in (2, 3)]
-    np.testing.assert_allclose(one_chunk._bounds(None, []), expected, rtol=1e-12)
+    found = {name: one_chunk._bounds(build(name, folder).batches(folder)) for name in ("direct", "cascade")}
+    np.testing.assert_allclose(found["direct"], expected, rtol=1e-12)
+    assert np.isnan(found["cascade"]).all()
 
 
 @pytest.mark.slow
