@@ -13,7 +13,6 @@ from trackwright.trackers.recordings.table_file import TableFile, first_row, rem
 
 CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}  # times of day; days, counted to the begin of 1970
 
-# fmt: off
 UNITS: dict[str, dict[str, float]] = {
     "m": {
         "m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048,
@@ -27,8 +26,7 @@ UNITS: dict[str, dict[str, float]] = {
     "mps": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 0.2777777777777778},
     "radps": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": 0.017453292519943295, "rpm": 0.10471975511965977},
     "mps2": {"m/s^2": 1.0, "cm/s^2": 1e-2, "mm/s^2": 1e-3, "g": 9.80665, "mg": 9.80665e-3},
-}
-# fmt: on
+}  # fmt: skip
 """By the ending of a column's name, units and their factors; a length in a unit of time is light's way in that time."""
 
 _DATE = re.compile(r"iso|hh:mm:ss|(?:yyyy|mmm?|dd)([-/.])(?:yyyy|mmm?|dd)\1(?:yyyy|mmm?|dd)")
@@ -53,20 +51,18 @@ class Expression(NamedTuple):
             raise UnusableInput(f"{self.target}={self.text}: names no column; expected {_FORM}")
         if _DATE.fullmatch(self.unit) and file.frame[self.sources[0]].dtype not in (pl.Datetime, pl.Date):
             return _dates(file, self.sources, self.guessed_order(file) or self.unit)
-        total = (frame := pl.DataFrame({f"c{k}": numbers_of(file, s) for k, s in enumerate(self.sources)}))["c0"]
-        if self.sql != "c0":
-            try:
-                total = frame.with_columns(x=pl.sql_expr(self.sql).cast(pl.Float64))["x"]
-                lost = frame.select(pl.all_horizontal(pl.all().is_finite()) & pl.lit(~total.is_finite())).to_series()
-            except pl.exceptions.PolarsError as error:
-                why = str(error).splitlines()[0]
-                raise UnusableInput(f"{self.target}={self.text}: cannot be read ({why}); expected {_FORM}") from error
-            if lost.any():
-                where = file.location(first_row(lost.fill_null(False)), " + ".join(self.sources))
-                raise UnusableInput(f"{where}: no number comes of {self.target}={self.text}; expected one in each row")
-        total = total - DAYS[self.unit] if self.unit in DAYS else total
+        frame = pl.DataFrame({f"c{k}": numbers_of(file, source) for k, source in enumerate(self.sources)})
+        try:
+            total = frame.with_columns(x=pl.sql_expr(self.sql).cast(pl.Float64))["x"]
+            lost = frame.select(pl.all_horizontal(pl.all().is_finite()) & pl.lit(~total.is_finite())).to_series()
+        except pl.exceptions.PolarsError as error:
+            why = str(error).splitlines()[0]
+            raise UnusableInput(f"{self.target}={self.text}: cannot be read ({why}); expected {_FORM}") from error
+        if lost.any():
+            where = file.location(first_row(lost.fill_null(False)), " + ".join(self.sources))
+            raise UnusableInput(f"{where}: no number comes of {self.target}={self.text}; expected one in each row")
         scale = UNITS.get(self.target.rpartition("_")[2], {}).get(self.unit, 1.0)
-        return total if scale == 1.0 else total * scale
+        return (total - DAYS.get(self.unit, 0.0)) * scale
 
     def guessed_order(self, file: TableFile) -> str:
         """The order of dates with dots, unknown to ISO, which are day, month, year everywhere; else nothing."""
@@ -88,13 +84,13 @@ class Expression(NamedTuple):
 def parsed(target: str, text: str, file: TableFile | None = None) -> Expression:
     """The expression of a target on the columns of a file, or on whatever fields it names; or UnusableInput."""
     text, name, known = text.strip(), target.partition("[")[0], [] if file is None else file.frame.columns
-    if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
+    if re.fullmatch(r"'.*'|\".*\"", text):
         return Expression(name, text, constant=text[1:-1])
     if (whole := text.strip("`")) in known:
         return Expression(name, text, (whole,))
     body, unit = re.findall(r"(?s)^(.*?)(?:\s+in\s+(\S+))?$", text)[0]
     unit, units = unit.lower() if {"Y", ":"} & {*unit} else unit, UNITS.get(name.rpartition("_")[2], {})
-    sources: dict[str, str] = {}
+    sources = dict[str, str]()
     if unit and unit not in units and not ("iso" in units and _DATE.fullmatch(unit)):
         fitting = ", ".join(units) or "none: it has no unit"
         raise UnusableInput(f"{target}: unit {unit!r} does not fit {name}; expected one of {fitting}")
@@ -146,9 +142,8 @@ def numbers_of(file: TableFile, column: str) -> pl.Series:
 
 def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
     """Dates in an order, all as the first, as s since 1970, UTC without a zone; or times of day, also past midnight."""
-    texts = file.frame.select(
-        pl.concat_str(pl.col(columns).cast(pl.String).str.strip_chars(), separator=" ")
-    ).to_series()
+    cells = pl.col(columns).cast(pl.String).str.strip_chars()
+    texts = given = file.frame.select(pl.concat_str(cells, separator=" ")).to_series()
     full, order, column = (texts != "").fill_null(False), order.replace("iso", "yyyy-mm-dd"), " + ".join(columns)
     first = next(iter(texts.filter(full)), "")
     if order == CLOCK:
@@ -160,17 +155,17 @@ def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
         form = order.replace("yyyy", "%Y").replace("mmm", "%b").replace("mm", "%m").replace("dd", "%d")
         time = re.search(r"\d[T ]+\d\d?:\d\d(:\d\d(?:[.,]\d*)?)?\s*(Z|[-+]\d\d:?(?:\d\d)?)?$", first)
         form += " %H:%M" + ":%S%.f" * bool(time[1]) + "%#z" * bool(time[2]) if time else ""
-        plain = texts.str.replace(r"(\d)[T ]+(\d)", "$1 $2").str.replace(",", ".").str.replace(r"\s*Z$", "+00:00")
-        plain = plain.str.replace(r"\s+([-+]\d)", "$1")
-        found = _since_1970(plain.str.to_datetime(form, time_unit="ns", strict=False))
+        for old, new in ((r"(\d)[T ]+(\d)", "$1 $2"), (",", "."), (r"\s*Z$", "+00:00"), (r"\s+([-+]\d)", "$1")):
+            texts = texts.str.replace(old, new)
+        found = _since_1970(texts.str.to_datetime(form, time_unit="ns", strict=False))
     if (wrong := full & found.is_null()).any():
         row = first_row(wrong)
         alike = f"as {first!r}, a time zone in all rows or none" if row != first_row(full) else "no order is guessed"
-        mark = next((one for one in "/." if one in texts[row].split(" ")[0]), "-")
-        named = re.search("-[A-Za-z]{3}-", texts[row])
+        mark = next((one for one in "/." if one in given[row].split(" ")[0]), "-")
+        named = re.search("-[A-Za-z]{3}-", given[row])
         orders = ["dd-mmm-yyyy"] if named else [f"mm{mark}dd{mark}yyyy", f"dd{mark}mm{mark}yyyy"]
         fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
-        raise UnusableInput(f"{file.location(row, column)}: {texts[row]!r}; expected {order}, {alike}: {fix}")
+        raise UnusableInput(f"{file.location(row, column)}: {given[row]!r}; expected {order}, {alike}: {fix}")
     return found
 
 

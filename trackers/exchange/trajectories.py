@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.evaluation.rows import AXES, covariances
+from trackwright.trackers.evaluation.rows import AXES
 from trackwright.trackers.exchange.expressions import numbers_of
 from trackwright.trackers.exchange.mapping import refuse_lost_digits, without_identities
 from trackwright.trackers.exchange.text_tables import Reading, read_rows
@@ -31,7 +31,6 @@ from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing
 TUM = ("t_s", *AXES, *QUATERNION[1:], QUATERNION[0])
 _TUM_WORDS = "8 numbers in each line: time in s, x, y, z in m, quaternion x, y, z, w; other files: `trackwright import`"
 _TEXT = ("recording", "tag", "station", "status", "wrapped")
-_STDS, _VELOCITY = tuple(f"std_{axis}" for axis in AXES), tuple(f"v{axis}_mps" for axis in "xyz")
 
 
 class Poses(NamedTuple):
@@ -89,24 +88,16 @@ class Similarity:
         return self.scale * positions @ self.rotation.T + self.translation
 
     def table(self, tracks: pl.DataFrame) -> pl.DataFrame:
-        """The image of a table: positions, attitudes, velocities and covariances, where it has them."""
+        """The image of a table of poses; where they move, velocities and covariances are left out."""
+        if self.flat and np.array_equal(self.rotation, np.eye(3)) and not self.translation.any():
+            return tracks
         q = stacked(tracks, QUATERNION)
         known = np.isfinite(q).all(axis=1)
         turned = Rotation.from_matrix(self.rotation) * Rotation.from_quat(q[known], scalar_first=True)
         q[known] = turned.as_quat(canonical=True, scalar_first=True)
-        velocities = replace(self, translation=np.zeros(3)).points(stacked(tracks, _VELOCITY))
-        columns = dict(zip(AXES, self.points(stacked(tracks, AXES)).T, strict=True))
-        columns |= dict(zip((*_VELOCITY, *QUATERNION), (*velocities.T, *q.T), strict=True))
-        if _STDS[0] in tracks.columns:
-            # An unknown variance of a height that is left alone must not reach the other axes.
-            P, F, k = covariances(tracks), self.scale * self.rotation, 2 if self.flat else 3
-            P[:, :k, k:] = F[:k, :k] @ P[:, :k, k:]
-            P[:, k:, :k] = P[:, :k, k:].transpose(0, 2, 1)
-            P[:, :k, :k] = F[:k, :k] @ P[:, :k, :k] @ F[:k, :k].T
-            columns |= {name: np.sqrt(P[:, i, i]) for i, name in enumerate(_STDS)}
-            columns |= {f"cov_{'xyz'[i]}{'xyz'[j]}_m2": P[:, i, j] for i, j in ((0, 1), (0, 2), (1, 2))}
-        kept = {name: values for name, values in columns.items() if name in tracks.columns}
-        return tracks.with_columns(pl.Series(name, values).fill_nan(None) for name, values in kept.items())
+        columns = dict(zip((*AXES, *QUATERNION), (*self.points(stacked(tracks, AXES)).T, *q.T), strict=True))
+        kept = tracks.select(pl.exclude("^(std_.*|cov_.*|v[xyz]_mps|heading_rad)$"))
+        return kept.with_columns(pl.Series(n, x).fill_nan(None) for n, x in columns.items() if n in kept.columns)
 
 
 def read_tum(path: Path) -> TableFile:

@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from tests.in_process import assert_refused, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
-from trackwright.trackers.core.data.consistency import nees
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.rows import AXES, covariances
+from trackwright.trackers.evaluation.rows import AXES
 from trackwright.trackers.exchange.pose_errors import associate, compare_trajectories
-from trackwright.trackers.exchange.trajectories import Similarity, read_trajectory, write_trajectory
+from trackwright.trackers.exchange.trajectories import read_trajectory, write_trajectory
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.kinds import QUATERNION
 
@@ -123,30 +122,6 @@ def test_what_cannot_be_compared_is_refused(own, options, words):
         assert compare_trajectories(own, truth, "origin").pairs == 400
     with pytest.raises(UnusableInput, match=words):
         compare_trajectories(own, truth, **options, name="own")
-
-
-def test_a_turn_about_the_vertical_turns_every_covariance():
-    """Against the map of three dimensions, and by the NEES of draws from the covariance itself."""
-    rng, rows = np.random.default_rng(5), 4000
-    root = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [0.15, -0.1, 0.25]])
-    error, cov = rng.normal(size=(rows, 3)) @ root.T, root @ root.T
-    names = {(0, 1): "cov_xy_m2", (0, 2): "cov_xz_m2", (1, 2): "cov_yz_m2"}
-    table = pl.DataFrame(
-        {f"{a}_m": error[:, k] for k, a in enumerate("xyz")}
-        | {f"std_{a}_m": np.full(rows, np.sqrt(cov[k, k])) for k, a in enumerate("xyz")}
-        | {name: np.full(rows, cov[ij]) for ij, name in names.items()}
-    )
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    flat = Similarity(turn, np.zeros(3), flat=True).table(table)
-    for name in (*names.values(), "std_x_m", "std_y_m", "std_z_m"):
-        np.testing.assert_allclose(flat[name], Similarity(turn, np.zeros(3)).table(table)[name], atol=1e-12)
-    moved = np.stack([flat[f"{a}_m"] for a in "xyz"], axis=1)
-    assert nees(moved, covariances(flat)).mean() / 3 == pytest.approx(1.0, abs=0.05)
-    # A height without a variance leaves the others as they are.
-    unknown = table.with_columns(
-        pl.lit(None, pl.Float64).alias(n) for n in ("z_m", "std_z_m", "cov_xz_m2", "cov_yz_m2")
-    )
-    assert Similarity(turn, np.zeros(3), flat=True).table(unknown)["cov_xy_m2"].equals(flat["cov_xy_m2"])
 
 
 def test_evo_reads_what_we_write_and_we_what_evo_writes(tmp_path):
