@@ -157,7 +157,7 @@ def survey(
         solution = solved(walks, solution, tempered)
         effect = design_effect(walks, solution, prior.free)
     sides = known[:, 2] if d == 2 or given else np.full(len(names), np.nan)
-    solution, mirrored = sided(walks, solution, sides, prior.free.reshape(-1, 4)[:, :3])
+    solution, mirrored = sided(walks, solution, sides, prior.free[2::4])
     if mirrored.any():
         solution = solved(walks, solution, tempered)
         notes.append("the walks are in a plane, and anchors may be above or below it; walk at two heights")
@@ -280,20 +280,19 @@ def framed(
 
 
 def sided(
-    walks: Walks, solution: Solution, heights: Float[np.ndarray, " A"], free: Bool[np.ndarray, "A 3"]
+    walks: Walks, solution: Solution, heights: Float[np.ndarray, " A"], free: Bool[np.ndarray, " A"]
 ) -> tuple[Solution, Bool[np.ndarray, " A"]]:
-    """The solution with anchors on the side of the walks' plane where their known `heights` are, else above, and which
-    have no known one. Walks that are in no plane, and anchors whose heights are not `free`, have one side."""
-    at = walks.positions(solution.path)
-    _, sizes, axes = np.linalg.svd(at - at.mean(axis=0), full_matrices=False)
-    anchors, unknown = solution.anchors.copy(), np.isnan(heights)
-    if sizes[-1] >= FLAT * len(at) ** 0.5:
-        return solution, np.zeros(len(anchors), bool)
-    images = anchors[:, :3] - 2.0 * ((anchors[:, :3] - at.mean(axis=0)) @ axes[-1])[:, None] * axes[-1]
-    nearer = np.abs(images[:, 2] - heights) < np.abs(anchors[:, 2] - heights)
-    other = free[:, 2] & np.where(unknown, images[:, 2] > anchors[:, 2], nearer)
-    anchors[:, :3] = np.where(other[:, None] & free, images, anchors[:, :3])
-    return replace(solution, anchors=anchors), free[:, 2] & unknown
+    """The solution with anchors on the side of a level walk where their known `heights` are, else above it, and which
+    may be on either side: those with `free` heights that are not known, of walks in a plane."""
+    at, z = walks.positions(solution.path), solution.anchors[:, 2]
+    if np.linalg.svd(at - at.mean(axis=0), compute_uv=False)[-1] >= FLAT * len(at) ** 0.5:
+        return solution, np.zeros(len(z), bool)
+    unknown, image = np.isnan(heights), 2.0 * at[:, 2].mean() - z
+    other = np.where(unknown, image > z, np.abs(image - heights) < np.abs(z - heights))
+    other &= free & np.isfinite(walks.heights).all()
+    anchors = solution.anchors.copy()
+    anchors[other, 2] = image[other]
+    return replace(solution, anchors=anchors), free & unknown
 
 
 def between(minima: Sequence[Solution], effect: float, d: int) -> Float[np.ndarray, " U"]:
