@@ -20,17 +20,16 @@ from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.readings import Compared, known_median, robust_fit
 from trackwright.trackers.recordings.kinds import unit_of
 
-PENALTY, GAIN, FITTED_GAIN, EXPLAINED, NEARLY, BROKEN, FEW = 0.06, 0.65, 1.0, 2.0, 0.75, 10.0, 0.34
-"""Log ratios of errors: price of a change and of each number, least gain, and that of numbers for one sensor; errors
-left, in those that need no explanation, and share of rows that a change has to bring below three of these; ratio of
-errors from which a sensor is broken, and share of sensors that may be broken or misplaced."""
-
+# Log ratios of errors: price of a change and of each number, least gain, and that of numbers for one sensor.
+PENALTY, GAIN, FITTED_GAIN = 0.06, 0.65, 1.0
+# Errors left, in those that need no explanation; share of rows that a change brings below three of these; ratio to the
+# others' errors from which a sensor is broken, and share of sensors that may be broken or misplaced.
+EXPLAINED, NEARLY, BROKEN, FEW = 2.0, 0.75, 10.0, 0.34
+# Readings of the first search, starts that go on, ratio of errors of fits that do alike; most sensors that are
+# exchanged, and the sum of log ratios from which two are.
 COARSE, STARTS, ALIKE, MOST_SWAPPED, CLEAR = 240, 5, 1.2, 32, 1.5
-"""Readings of the first search, starts that go on, ratio of errors up to which fits do alike; most sensors that are
-exchanged, and the sum of log ratios from which two are."""
-
+# Delays: least beside a frame, least alone, most that is tracked, most that is tried; share to which errors fall.
 LEAST_CLOCK_S, LEAST_DELAY_S, LATENCY_S, LONGEST_DELAY_S, DELAY_GAIN = 0.05, 0.1, 1.0, 60.0, 2 / 3
-"""Delays: least beside a frame, least alone, most that is tracked, most that is tried; share to which errors fall."""
 
 FACTORS = {0.001: "millimetres", 0.01: "centimetres", 0.3048: "feet", 0.0254: "inches", 1000.0: "kilometres"}
 UNITS = {
@@ -41,38 +40,33 @@ UNITS = {
 }
 """By the first column of a table, factors to its unit and what they undo."""
 
-ANGLES = {
-    "the sign of the azimuth flipped": ([0, 1], [-1, 1]),
-    "the sign of the elevation flipped": ([0, 1], [1, -1]),
-    "azimuth and elevation swapped": ([1, 0], [1, 1]),
-}
+ANGLES = (
+    ("the sign of the azimuth flipped", [0, 1], [-1, 1]),
+    ("the sign of the elevation flipped", [0, 1], [1, -1]),
+    ("azimuth and elevation swapped", [1, 0], [1, 1]),
+)
 """Orders and factors of the columns."""
 
 Numbers = Float[np.ndarray, " p"]
-Apply = Callable[[Compared, Numbers], Compared]
 
 
 class Change(NamedTuple):
     """What would explain errors: `words`, after "with", and `cause`, the mistake and its fix, may have `shown` numbers.
 
-    `apply`: the readings with it and its numbers, fitted from `starts` (s, p); `each`: of one sensor alone. `free`:
-    the numbers that are fitted. `least`: sizes of numbers from which one is a mistake. `of`: "offset" (which a
+    `apply`: the readings with it and its numbers, fitted from `starts` (s, p); `each`: of one sensor alone. `least`:
+    sizes of numbers from which one is a mistake. `free`: the numbers that are fitted. `of`: "offset" (which a
     calibration removes), "place", "frame" (whose last number is a delay), "delay" or "height".
     """
 
     words: str
     cause: str
-    apply: Apply
+    apply: Callable[[Compared, Numbers], Compared]
     each: bool = False
+    of: str = ""
     starts: Callable[[Compared], Any] = lambda _: np.zeros((1, 0))
     least: float | Sequence[float] = 0.0
-    of: str = ""
     free: Sequence[int] | None = None
     shown: Callable[[Numbers], Any] = lambda x: x
-
-    def told(self, text: str, x: Numbers) -> str:
-        """Words or cause with numbers."""
-        return text.format(*self.shown(x)) if len(x) else text
 
 
 class Found(NamedTuple):
@@ -87,59 +81,57 @@ class Found(NamedTuple):
 
 def changes(view: Compared) -> Iterator[Change]:
     """All changes of the readings of a table; without a truth those of values, ids and heights."""
-    kind, what = view.kind, view.kind.name
+    kind, what, noun, true = view.kind, view.kind.name, view.kind.noun, view.moment is None
+    order, xyz, other = list(range(len(view.columns))), [0, 1, 2], "the fixes" if view.kind.position else "rig.toml"
+    units = UNITS.get(view.columns[0], {-1.0: "of the wrong sign"}).items()
+    tried = [(f"the {what} multiplied by {f:g}", f"{what} are {u}; convert them", "values", order, f) for f, u in units]
+    cause = "angles of another convention, or the station turned; correct them"
+    tried += [(words, cause, "values", *change) for words, *change in ANGLES if kind.angles]
+    for f, unit in FACTORS.items() if true else ():
+        cause = f"positions in rig.toml in {unit}; convert them"
+        tried += [(f"the positions of the {noun}s multiplied by {f:g}", cause, "places", xyz, f)] * bool(kind.sensors)
+        tried += [(f"the truth multiplied by {f:g}", f"truth in {unit}; convert it", "positions", xyz, f)]
+    for axes, signs in product(permutations(xyz), product((1, -1), repeat=3)) if true else ():
+        read = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(axes, signs, strict=True))
+        cause = f"the truth has other axes than {other}; bring both into one frame"
+        tried += [(f"x, y, z of the truth read as {read}", cause, "positions", list(axes), signs)]
     # Without a truth one sensor has no errors of its own; the unit of a difference is a message.
-    each, true = bool(kind.sensors) and not kind.difference and view.moment is None, view.moment is None
-    for f, unit in UNITS.get(view.columns[0], {-1.0: "of the wrong sign"}).items():
-        apply = _linear("values", range(len(view.columns)), f)
-        yield Change(f"the {what} multiplied by {f:g}", f"{what} are {unit}; convert them", apply, each)
-    for words, (order, signs) in ANGLES.items() if kind.angles else ():
-        cause = "angles of another convention, or the station turned; correct them"
-        yield Change(words, cause, _linear("values", order, signs), each)
-    if kind.sensors and len(view.ids) <= MOST_SWAPPED:
-        yield from _exchanged(view)
-        yield from _of_rig(view) if true else ()
-    yield from _of_truth(view) if true and (kind.sensors or kind.position) else ()
+    each = bool(kind.sensors) and not kind.difference and true
+    for words, cause, field, columns, factors in tried:
+        apply = partial(_linear, field=field, order=columns, factors=factors)
+        yield Change(words, cause, apply, each and field == "values", "height" if words.endswith(" x, y, -z") else "")
+    yield from _exchanged(view) if kind.sensors and len(view.ids) <= MOST_SWAPPED else ()
+    yield from [*(_of_rig(view) if kind.sensors else ()), *_of_truth(view)] if true else ()
     if np.isfinite(view.heights).any() and kind.distance:
-        free = lambda v, _: v._replace(heights=np.full_like(v.heights, np.nan))  # noqa: E731
-        yield Change(
-            "the height of the tags left free",
-            "height_m, or z of the anchors, in rig.toml is wrong; measure again",
-            free,
-        )
+        cause, free = "height_m, or z of the anchors, in rig.toml is wrong; measure again", np.nan * view.heights
+        yield Change("the height of the tags left free", cause, lambda v, _: v._replace(heights=free))
 
 
-def _linear(field: str, order: Sequence[int], factors: Any) -> Apply:
-    return lambda view, _: view._replace(**{field: getattr(view, field)[:, list(order)] * factors})
-
-
-def _rig(**fields: np.ndarray) -> Apply:
-    return lambda view, _: view.changed(**fields)
+def _linear(view: Compared, _: Any, field: str, order: list[int], factors: Any) -> Compared:
+    of = view if field in view._fields else view.sensors
+    return view.changed(**{field: getattr(of, field)[:, order] * factors})
 
 
 def _of_rig(view: Compared) -> Iterator[Change]:
-    """Changes of positions and orientations of anchors or stations, and offsets of their readings."""
+    """Orientations and positions of stations and anchors, and offsets of their readings."""
     kind, sensors = view.kind, view.sensors
-    for f, unit in FACTORS.items():
-        cause, apply = f"positions in rig.toml in {unit}; convert them", _rig(places=f * sensors.places)
-        yield Change(f"the positions of the {kind.noun}s multiplied by {f:g}", cause, apply)
     if kind.angles:
         from scipy.spatial.transform import Rotation  # a tenth of a second, and few recordings come here
 
         q = np.roll(Rotation.from_matrix(sensors.axes).as_quat(scalar_first=True), 1, axis=1)
-        other, cause = Rotation.from_quat(q, scalar_first=True).as_matrix(), "the quaternion is meant so; correct it"
-        yield Change("rotation_wxyz read as x, y, z, w", cause, _rig(axes=other), True)
-        yield Change("rotation_wxyz inverted", cause, _rig(axes=np.swapaxes(sensors.axes, 1, 2)), True)
+        read = Rotation.from_quat(q, scalar_first=True).as_matrix()
+        for how, axes in (("read as x, y, z, w", read), ("inverted", np.swapaxes(sensors.axes, 1, 2))):
+            apply = lambda v, _, axes=axes: v.changed(axes=axes)  # noqa: E731
+            yield Change(f"rotation_wxyz {how}", "the quaternion is written otherwise; correct it", apply, True)
         cause = "another orientation than rig.toml's, or another zero of the azimuth; correct rotation_wxyz or yaw_deg"
-        turns = lambda _: np.radians(np.arange(-180.0, 180.0, 5.0))[:, None]  # noqa: E731
         for sign, words, of in ((1.0, "", "offset"), (-1.0, "its sign flipped and ", "")):
-            turned = lambda v, x, s=sign: v._replace(values=v.values * [s, 1.0] - [x[0], 0.0])  # noqa: E731
-            words = f"the azimuth {words}turned by {{:.0f}}°"
-            yield Change(words, cause, turned, True, turns, 0.26, of, None, np.degrees)
+            apply = lambda v, x, s=sign: v.changed(values=v.values * [s, 1.0] - [np.radians(x[0]), 0.0])  # noqa: E731
+            turns = lambda _: np.arange(-180.0, 180.0, 5.0)[:, None]  # noqa: E731
+            yield Change(f"the azimuth {words}turned by {{:.0f}}°", cause, apply, True, of, turns, 15.0)
     if kind.unit == "m":
-        words, medians = f"{{:+.2f}} m subtracted from the {kind.name}", lambda v: [known_median(v.errors())]
         cause = f"an offset of the {kind.name}, as of an uncalibrated antenna delay; calibrate the anchors"
-        yield Change(words, cause, lambda v, x: v._replace(values=v.values - x), True, medians, 1.0, "offset")
+        words, less = f"{{:+.2f}} m subtracted from the {kind.name}", lambda v, x: v.changed(values=v.values - x)
+        yield Change(words, cause, less, True, "offset", lambda v: [known_median(v.errors())], 1.0)
 
     def around(v: Compared) -> list[np.ndarray]:
         own = v.sensors.places[v.group[0]]
@@ -149,63 +141,46 @@ def _of_rig(view: Compared) -> Iterator[Change]:
         return v.changed(places=np.where(np.arange(len(v.ids))[:, None] == v.group[0], x, v.sensors.places))
 
     words, cause = "its position at ({:.2f}, {:.2f}, {:.2f}) m", "a wrong position in rig.toml; measure it again"
-    yield Change(words, cause, moved, True, around, of="place")
+    yield Change(words, cause, moved, True, "place", around)
 
 
 def _of_truth(view: Compared) -> Iterator[Change]:
-    """Changes of the unit, the axes, the place and the clock of the truth."""
-    other = f"the truth has another origin or axes than {'the fixes' if view.kind.position else 'rig.toml'}"
-    for f, unit in FACTORS.items():
-        apply = _linear("positions", range(3), f)
-        yield Change(f"the truth multiplied by {f:g}", f"truth in {unit}, expected metres; convert it", apply)
-    for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
-        axes = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(order, signs, strict=True))
-        words, of = f"x, y, z of the truth read as {axes}", "height" * (axes == "x, y, -z")
-        fix, apply = f"{other}; bring both into one frame", _linear("positions", order, signs)
-        yield from [Change(words, fix, apply, of=of)] * (axes != "x, y, z")
+    """The place and the clock of the truth: turned by x[0] about its centre, shifted by x[1:4], and x[4] s later."""
+    centre = np.nanmean(view.positions, axis=0)
+
+    def apply(v: Compared, x: Numbers, mirror: int) -> Compared:
+        away = ((v.later(float(x[4])) if x[4] else v).positions - centre) * [1, mirror, 1]
+        return v._replace(positions=centre + x[1:4] + away @ about_vertical(x[0]).T)
+
+    def shown(x: Numbers, mirror: int) -> np.ndarray:
+        origin = centre + x[1:4] - about_vertical(x[0]) @ (centre * [1, mirror, 1])
+        return np.round([np.degrees(np.remainder(x[0] + np.pi, 2 * np.pi) - np.pi), *origin, x[4]], 3) + 0.0
+
     target = view.sensors.places.mean(axis=0) if view.kind.sensors else known_median(view.values)
-    away, inf = np.nan_to_num(target - np.nanmean(view.positions, axis=0)), np.inf
-    middles, turns = (0 * away, away, away * [1, 1, 0]), np.radians(range(0, 360, 15))
-    turned, moved = "turned by {0:.1f}°, ", "shifted by ({1:.2f}, {2:.2f}, {3:.2f}) m and {4:.2f} s later"
-    for words, yaws, least, mirror in (
-        (f"the truth {moved}", [0.0], [inf, 0.4, 0.4, 0.4, inf], 1),
-        (f"the truth {turned}{moved}", turns, [0.07, inf, inf, inf, inf], 1),
-        (f"the truth mirrored in y, {turned}{moved}", turns, [0.0] * 5, -1),
+    away, turns = np.nan_to_num(target - centre), np.radians(range(0, 360, 15))
+    longest = min(LONGEST_DELAY_S, 0.45 * float(np.ptp(view.times)))
+    places = [[yaw, *at, 0.0] for at in (0 * away, away, away * [1, 1, 0]) for yaw in turns]
+    delays = [[0.0, 0.0, 0.0, 0.0, delay] for delay in sorted(np.arange(-longest, longest, 0.5), key=abs)]
+    shifted, turned, large = "shifted by ({1:.2f}, {2:.2f}, {3:.2f}) m and ", "turned by {0:.1f}°, ", [np.inf] * 4
+    fix = "import it again with --align-truth, or --transform {1:.3f},{2:.3f},{3:.3f},{0:.3f},{4:.3f}"
+    for how, starts, least, free, mirror in (
+        (shifted, places[::24], [np.inf, 0.4, 0.4, 0.4, np.inf], [1, 2, 3], 1),
+        (turned + shifted, places, [0.07, *large], [0, 1, 2, 3], 1),
+        ("mirrored in y, " + turned + shifted, places, [0.0, *large], [0, 1, 2, 3], -1),
+        *([("", delays, 0.0, [4], 1)] if _moves(view) else []),
     ):
-        starts, free = [[yaw, *at, 0.0] for yaw in yaws for at in middles], range(len(yaws) == 1, 4)
-        yield _placed(view, words, other, starts, free, least, mirror, "frame")
-    if _moves(view):
-        longest, cause = (
-            min(LONGEST_DELAY_S, 0.45 * float(np.ptp(view.times))),
-            "the clocks of truth and readings differ",
-        )
-        starts = [[0.0, 0.0, 0.0, 0.0, delay] for delay in sorted(np.arange(-longest, longest, 0.5), key=abs)]
-        yield _placed(view, "the truth {4:.2f} s later", cause, starts, [4], 0.0, 1, "delay")
+        cause = "the truth has another frame than the measurements, or another clock; "
+        cause += fix if mirror > 0 else "bring both into one frame"
+        moved, told = (partial(of, mirror=mirror) for of in (apply, shown))
+        words = f"the truth {how}{{4:.2f}} s later"
+        of = "frame" if how else "delay"
+        yield Change(words, cause, moved, False, of, lambda _, s=starts: s, least, free, told)  # type: ignore[misc]
 
 
 def _moves(view: Compared) -> bool:
     """Whether the truth moves by so much for so long that a clock shows."""
     extent = max(float(np.linalg.norm(np.ptp(view.positions[view.tag == k], axis=0))) for k in np.unique(view.tag))
     return extent >= 0.5 and float(np.ptp(view.times)) >= 2.0
-
-
-def _placed(
-    view: Compared, words: str, cause: str, starts: Any, free: Sequence[int], least: Any, mirror: int, of: str
-) -> Change:
-    """The truth mirrored in y or not, turned by x[0] about its centre, shifted by x[1:4], and x[4] s later."""
-    centre, signs = np.nanmean(view.positions, axis=0), [1, mirror, 1]
-
-    def apply(v: Compared, x: Numbers) -> Compared:
-        away = ((v.later(float(x[4])) if x[4] else v).positions - centre) * signs
-        return v._replace(positions=centre + x[1:4] + away @ about_vertical(x[0]).T)
-
-    def shown(x: Numbers) -> np.ndarray:
-        origin = centre + x[1:4] - about_vertical(x[0]) @ (centre * signs)
-        return np.round([np.degrees(np.remainder(x[0] + np.pi, 2 * np.pi) - np.pi), *origin, x[4]], 3) + 0.0
-
-    fix = "import it again with --align-truth, or --transform {1:.3f},{2:.3f},{3:.3f},{0:.3f},{4:.3f}"
-    fix = fix if mirror > 0 else "bring both into one frame"
-    return Change(words, f"{cause}; {fix}", apply, False, lambda _: starts, least, of, free, shown)
 
 
 def _exchanged(view: Compared) -> Iterator[Change]:
@@ -372,11 +347,15 @@ def _late(view: Compared, before: np.ndarray) -> Iterator[CheckResult]:
 
 def _sentence(view: Compared, found: Found) -> str:
     change, sizes = found.change, view.sizes()
-    words = listed(dict.fromkeys(change.told(change.words, x) for x in found.numbers))
+    words = listed(dict.fromkeys(_told(change, change.words, x) for x in found.numbers))
     large = found.groups & (sizes > _limit(view)).any(axis=1)
     before, after = (_typical(view, one[large if large.any() else found.groups]) for one in (sizes, found.after))
     whose = _whose(view, found.groups if change.each else ~found.groups)
-    return f"{whose} are typically {before}, and {after} with {words}: {change.told(change.cause, found.numbers[0])}"
+    return f"{whose} are typically {before}, and {after} with {words}: {_told(change, change.cause, found.numbers[0])}"
+
+
+def _told(change: Change, text: str, x: Numbers) -> str:
+    return text.format(*change.shown(x)) if len(x) else text
 
 
 def _typical(view: Compared, sizes: np.ndarray) -> str:

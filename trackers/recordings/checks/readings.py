@@ -115,15 +115,15 @@ class Compared(NamedTuple):
     moment: Int[np.ndarray, " N"] | Any = None
     heights: Float[np.ndarray, " E"] = np.zeros(0)
 
-    def changed(self, **fields: np.ndarray) -> Compared:
-        """The same readings with other fields of the sensors."""
-        return self._replace(sensors=self.sensors._replace(**fields))
+    def changed(self, **fields: Any) -> Compared:
+        """The same readings with other fields, of these or of the sensors."""
+        own = {name: x for name, x in fields.items() if name in self._fields}
+        return self._replace(**own, sensors=self.sensors._replace(**{k: x for k, x in fields.items() if k not in own}))
 
     def of_rows(self, part: Any) -> Compared:
         """Some of the readings, by a mask, a slice or their numbers."""
-        fields: dict[str, Any] = {n: getattr(self, n)[part] for n in ("group", "tag", "times", "values", "positions")}
-        moment = None if self.moment is None else self.moment[part]
-        return self._replace(**fields, moment=moment).changed(number=self.sensors.number[part])
+        names = ("group", "tag", "times", "values", "positions", *(["moment"] if self.moment is not None else []))
+        return self.changed(number=self.sensors.number[part], **{name: getattr(self, name)[part] for name in names})
 
     def thinned(self, most: int) -> Compared:
         """Every k-th reading, at most about `most` in all."""
