@@ -84,5 +84,5 @@ def test_checks_name_times_that_count_from_1970_by_the_option_that_makes_them_be
     folder = RecordingFolder("hall", None, Rig("hall", {"A": np.zeros(3)}), {"ranges": ranges, "truth": truth})
     said = " ".join(result.message for result in check(folder))
     assert "2026-05-04 14:13:20 UTC to 2026-05-04 14:13:29.9 UTC, and they 2026-05-04 12:13:20 UTC" in said
-    assert "`trackwright import --origin start`" in said
+    assert "import with --columns t_s=COLUMN-1777896800" in said
     assert "e+09" not in said
