@@ -106,12 +106,14 @@ class Survey:
     @property
     def reading(self) -> str:
         """How to read the rows."""
-        wide = f"intervals are {self.effect**0.5:.1f} times as wide as with independent ones."
-        return f"± half the 95 % interval; in parentheses: not determined. As errors are correlated in time, {wide}"
+        wide = f"{self.effect**0.5:.1f} times as wide as with independent errors"
+        return f"± half the 95 % interval, {wide}; in parentheses: not determined."
 
     def __str__(self) -> str:
-        lines = text_lines([list(self.head), *self.rows()], "<" + ">" * (len(self.head) - 2) + "<")
-        return "\n".join([f"Anchors of {self.rig.name}", "", *lines, "", self.reading])
+        rows = self.rows()
+        lines = text_lines([row[:-1] for row in (list(self.head), *rows)], "<" + ">" * (len(self.head) - 2))
+        verdicts = [f"{name}: {verdict}" for name, *_, verdict in rows]
+        return "\n".join([f"Anchors of {self.rig.name}", "", *lines, "", *verdicts, "", self.reading])
 
     def __repr__(self) -> str:
         return f"<Survey of {len(self.names)} anchors from {len(self.paths)} walks; print it for a table>"
