@@ -16,8 +16,8 @@ from trackwright.sim.paths import hand_motion
 from trackwright.sim.ranging import distances_to
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.core.model.rig import Rig, Tag
+from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import QUATERNION
 
 OFFSETS = np.array([[0.0, 0.0, 0.0], [0.5, 0.25, 0.0], [0.5, -0.25, 0.0]])
 """Places of the tags on a trolley, m, ahead and to the left of the middle of its axle."""

@@ -26,8 +26,8 @@ from trackwright.sim.tables import AXES, ArrayRows, OnDemand, folder_of
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.state import Rotation
+from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import QUATERNION
 
 GRAVITY = 9.81
 

@@ -12,10 +12,9 @@ import polars as pl
 from jaxtyping import Float, Int, Shaped
 
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.recordings.columns import TagRows
+from trackwright.trackers.recordings.columns import TagRows, TruePaths
 from trackwright.trackers.recordings.folder import RecordingFolder, Tables
 from trackwright.trackers.recordings.kinds import table_kinds
-from trackwright.trackers.recordings.truth import TruePaths
 
 
 @runtime_checkable

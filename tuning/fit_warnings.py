@@ -1,4 +1,4 @@
-"""Warnings about a fit: what its recordings do not determine, levels that collapsed, readings that repeat."""
+"""Warnings about a fit: what its recordings do not determine, levels that collapsed, errors that last."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from jaxtyping import Bool, Float
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.tunable import Scale, tunables
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.reading_grids import REPEATED, ReadingGrid
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.parameters import Parameter, component_names, grid_of, split
+from trackwright.tuning.parameters import Parameter, component_names, split
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import (
     MIN_TRAJECTORIES,
@@ -103,7 +102,6 @@ def finished_cautions(
     problem: Problem,
     start: Float[np.ndarray, " p"],
     end: Float[np.ndarray, " p"],
-    readings: Sequence[ReadingGrid],
     uncertainty: Uncertainty | None,
     converged: bool,
     selected: bool,
@@ -117,14 +115,9 @@ def finished_cautions(
         split(problem.parameters, start), split(problem.parameters, end), strict=True
     ):
         if isinstance(parameter.example, Scale):
-            texts += _collapsed(parameter, first, last, grid_of(readings, parameter), uncertainty)
+            texts += _collapsed(parameter, first, last, uncertainty)
     if uncertainty is not None and np.isnan(uncertainty.optimum.nats_per_unit) and not (converged or selected):
         texts.append("the fit took all its steps before it came to rest")
-    if not problem.objective.needs_truth:
-        for grid in {grid.sensor: grid for grid in reversed(readings)}.values():
-            if grid.repeated > REPEATED:
-                share = f"{100 * grid.repeated:.0f} % of the readings of {grid.sensor}"
-                texts.append(f"{share} repeat the one before: a likelihood takes them for independent readings")
     if problem.objective.is_likelihood:
         rows, inflation = rows_and_inflation(problem, end)
         if inflation >= INFLATION:
@@ -135,15 +128,12 @@ def finished_cautions(
 
 
 def _collapsed(
-    parameter: Parameter, first: np.ndarray, last: np.ndarray, grid: ReadingGrid | None, uncertainty: Uncertainty | None
+    parameter: Parameter, first: np.ndarray, last: np.ndarray, uncertainty: Uncertainty | None
 ) -> Iterator[str]:
-    """A clause on a noise level at the rounding of its readings, or undetermined at a thousandth of its start."""
-    low, unit = float(np.exp(last.min())), parameter.example.unit
-    if grid is not None and low <= 1.001 * grid.lowest < float(np.exp(first.min())):
-        what = "rounding" if grid.lowest == grid.floor else "typical change"
-        yield f"{parameter.label} fell to {low:.3g} {unit}, the {what} of its readings, and is not fitted below it"
-    elif np.min(last - first) < math.log(COLLAPSED) and not _determined(uncertainty, parameter):
-        yield f"{parameter.label} collapsed to {low:.3g} {unit}, less than {COLLAPSED:g} of its start: give bounds"
+    """A clause on a noise level at a thousandth of its start, where the recordings do not determine it."""
+    if np.min(last - first) < math.log(COLLAPSED) and not _determined(uncertainty, parameter):
+        low = f"{float(np.exp(last.min())):.3g} {parameter.example.unit}"
+        yield f"{parameter.label} collapsed to {low}, less than {COLLAPSED:g} of its start: give bounds"
 
 
 def _determined(uncertainty: Uncertainty | None, parameter: Parameter) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,7 +16,6 @@ from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.trackers.recordings.reading_grids import ReadingGrid, reading_grids
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, Weigh, fit_arrays
@@ -38,13 +36,12 @@ from trackwright.tuning.parameters import (
     PriorKind,
     by_label,
     flatten,
-    floors,
     limits,
     select_parameters,
     tuned_by_default,
     with_parameters,
 )
-from trackwright.tuning.problem import Evaluation, Pieces, Problem
+from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import (
     Interval,
     Uncertainty,
@@ -77,8 +74,8 @@ class FitResult(Generic[AnyTracker]):
     interrupted. `trace`: the steps of the best start, ending at `vector`; `starts`: of all starts. `before`: the
     tracker at the first start, tied numbers made equal and bounded ones clipped. `limits`: lowest and highest vector.
     `converged`: whether the best start ended before the last step, or its optimiser takes all. `selected`: whether
-    held-out recordings chose `vector`. `readings`: steps and repetitions of the readings. `recordings`: the one of each
-    trajectory of `problem`.
+    held-out recordings chose `vector`. `recordings`: the one of each trajectory of
+    `problem`.
     """
 
     tracker: AnyTracker
@@ -96,7 +93,6 @@ class FitResult(Generic[AnyTracker]):
     selected: bool = False
     trace: list[Step] = field(default_factory=list)
     starts: list[list[Step]] = field(default_factory=list)
-    readings: list[ReadingGrid] = field(default_factory=list)
     recordings: list[str] = field(default_factory=list)
 
     def __repr__(self) -> str:
@@ -128,8 +124,8 @@ class FitResult(Generic[AnyTracker]):
     @cached_property
     def cautions(self) -> list[str]:
         """Caveats on the result. For a likelihood this runs the filter once more."""
-        ends, readings = (self.start_vector, self.vector), self.readings
-        return finished_cautions(self.problem, *ends, readings, self.uncertainty, self.converged, self.selected)
+        ends = self.start_vector, self.vector
+        return finished_cautions(self.problem, *ends, self.uncertainty, self.converged, self.selected)
 
     @property
     def issues(self) -> list[Issue]:
@@ -212,9 +208,8 @@ def fit(
     `parameters.tuned_by_default`. `options`: how it is done; `progress`: what it tells, and from where it goes on.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
-    steps. The noise levels of a sensor whose readings in arrays have a step are not fitted below its rounding's,
-    step/√12, unless `bounds` name them. The result is the best point met, never worse than the start; an interrupt
-    (Ctrl-C) ends the fit there. `FitResult.cautions` speak against it.
+    steps. The result is the best point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there.
+    `FitResult.cautions` speak against it.
     Raises ValueError for patterns that match nothing or can't be tied and for empty bounds; FloatingPointError where
     the objective is not finite at the first start.
     """
@@ -232,12 +227,7 @@ def fit(
     scoring = None
     if apart:
         scoring = Problem(model, apart, objective, parameters, chunk, data.held_out_weights)
-    readings = reading_grids(model, Pieces(batches))
-    if data.folders:
-        # Readings of folders have the variance of their rounding.
-        readings = [replace(grid, step=math.nan) for grid in readings]
     low, high = limits(parameters, bounds)
-    low = np.maximum(low, floors(readings, parameters, bounds))
     if (hidden := _hidden(parameters, objective)).any():
         low, high = (np.where(hidden, flatten(parameters), ends) for ends in (low, high))
     # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
@@ -260,7 +250,7 @@ def fit(
     if not interrupted and scoring is None and problem.prior.precision.any():
         state = weighed_anew(driver, tempered_anew(driver, state), names)
     result = _result(model, driver, state, interrupted)
-    result = replace(result, readings=readings, recordings=names)
+    result = replace(result, recordings=names)
     if isinstance(tracker, NamedTracker):
         values = {name: result.values[p.label] for p in parameters for name in p.names}
         result = replace(result, tracker=tracker.with_values(values, "the fit"))

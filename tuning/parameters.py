@@ -8,7 +8,6 @@ which sites vary by `SPREADS`. Few sites are far off, and are not held back: tai
 from __future__ import annotations
 
 import fnmatch
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -31,7 +30,6 @@ from trackwright.trackers.core.model.tunable import (
     tunables,
 )
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.reading_grids import ReadingGrid
 
 Tree = TypeVar("Tree")
 
@@ -258,29 +256,6 @@ def physical_errors(
     """Standard errors of the physical values, by the delta method from the covariance of the unconstrained vector."""
     jacobians = jax.jacfwd(lambda v: physical(parameters, v))(jnp.asarray(vector))
     return [np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", j, cov, j), 0)) for j in map(np.asarray, jacobians)]
-
-
-def floors(
-    grids: Sequence[ReadingGrid], parameters: Sequence[Parameter], bounds: Mapping[str, tuple[float, float]]
-) -> Float[np.ndarray, " p"]:
-    """The lowest unconstrained vector (p,) with no noise level below `ReadingGrid.lowest`; -inf elsewhere.
-
-    Parameters that the user's `bounds` name have none.
-    """
-    low = [np.full(parameter.size, -np.inf) for parameter in parameters]
-    for parameter, part in zip(parameters, low, strict=True):
-        names = (*parameter.names, parameter.label)
-        named = any(fnmatch.filter(names, pattern) for pattern in bounds)
-        grid = None if named else grid_of(grids, parameter)
-        if grid is not None and math.isfinite(grid.lowest):
-            part[:] = math.log(grid.lowest)
-    return np.concatenate(low)
-
-
-def grid_of(grids: Sequence[ReadingGrid], parameter: Parameter) -> ReadingGrid | None:
-    """The readings whose noise level a parameter is, the finest of several tied ones; None for other parameters."""
-    matches = [grid for grid in grids if any(grid.limits(name, parameter.example) for name in parameter.names)]
-    return min(matches, key=lambda grid: grid.lowest if math.isfinite(grid.lowest) else 0.0, default=None)
 
 
 PriorKind = Literal["sites", "flat"]

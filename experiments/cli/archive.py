@@ -40,11 +40,11 @@ from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.events import EVENTS
 from trackwright.trackers.evaluation.metrics import RESIDUALS, added, metrics, sums
 from trackwright.trackers.evaluation.scored_run import silent
-from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS, content_of
-from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, held, json_text, write_whole
+from trackwright.trackers.recordings.atomic import Content, atomic_write, config_hash, json_text, write_whole
 from trackwright.trackers.recordings.checks.all_checks import require_sound
+from trackwright.trackers.recordings.folder import content_of
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig
-from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text
+from trackwright.trackers.recordings.tracks_table import EVALUATION, RECORDINGS, RESULTS, SOURCES, TRACKS, sources_text
 
 FINISHED, ERRORS = "tracked.json", "tracked.parquet"
 """The file written last for a recording, and its errors, which the percentiles of all are taken from."""
@@ -204,26 +204,25 @@ def track_archive(paths: Sequence[Path], options: TrackOptions, run: Run) -> int
         found[path] = result
         advance(1)
 
-    with held(options.out):
-        with cluster_executor(options.cluster) if options.cluster else Threads() as executor:
-            # A cluster's workers need not see the recordings, which are read here.
-            part, read = (tracking, tracking.read) if options.cluster else (tracking.part, None)
-            run_parts(paths, part, store, executor, each, read, _refusal)
-        refused = [found[path].refused for path in paths if found[path].refused]
-        lines = [line for of_recording in refused for line in of_recording]
-        if not any(result.outcomes for result in found.values()):
-            _list_refused(lines[1:], "")
-            raise tw.UnusableInput(lines[0])
-        run.begin("tables")
-        results = options.out / RESULTS
-        atomic_write(results, _results([(path, found[path]) for path in paths]).write_csv)
-        by_tracker: dict[str, list[tuple[Path, Summary]]] = {}
-        for path in paths:
-            for summary in found[path].outcomes:
-                by_tracker.setdefault(summary["short"], []).append((path, summary))
-        for name, of in by_tracker.items():
-            out = options.out if len(by_tracker) == 1 else output_folder(options.out / name)
-            _write_run(name, sorted(of, key=lambda one: str(one[1]["recording"])), out, store, run)
+    with cluster_executor(options.cluster) if options.cluster else Threads() as executor:
+        # A cluster's workers need not see the recordings, which are read here.
+        part, read = (tracking, tracking.read) if options.cluster else (tracking.part, None)
+        run_parts(paths, part, store, executor, each, read, _refusal)
+    refused = [found[path].refused for path in paths if found[path].refused]
+    lines = [line for of_recording in refused for line in of_recording]
+    if not any(result.outcomes for result in found.values()):
+        _list_refused(lines[1:], "")
+        raise tw.UnusableInput(lines[0])
+    run.begin("tables")
+    results = options.out / RESULTS
+    atomic_write(results, _results([(path, found[path]) for path in paths]).write_csv)
+    by_tracker: dict[str, list[tuple[Path, Summary]]] = {}
+    for path in paths:
+        for summary in found[path].outcomes:
+            by_tracker.setdefault(summary["short"], []).append((path, summary))
+    for name, of in by_tracker.items():
+        out = options.out if len(by_tracker) == 1 else output_folder(options.out / name)
+        _write_run(name, sorted(of, key=lambda one: str(one[1]["recording"])), out, store, run)
     print(f"wrote {results}, a row for each recording and tracker")
     if noticed := sum(bool(result.notices and result.outcomes) for result in found.values()):
         notice(f"notice: {counted(noticed, 'recording')} with notices: column 'notices' of {results}")

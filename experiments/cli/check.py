@@ -28,11 +28,10 @@ def check(*recordings: Recording, tracker: Tracker | None = None, json: bool = F
         json: print JSON instead of lines: by folder, the results with level, where and message.
     """
     from trackwright.trackers.catalogue import run_files
-    from trackwright.trackers.recordings.archives import recordings_under
     from trackwright.trackers.recordings.atomic import json_text
     from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
-    from trackwright.trackers.recordings.folder import read_recording
+    from trackwright.trackers.recordings.folder import read_recording, recordings_under
 
     run_files(tracker)
     failed, by_folder = False, {}
@@ -59,7 +58,7 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False,
         force: replace a file that exists, and take recordings in spite of the errors that `trackwright check` finds.
         json: print the content of that file as JSON instead of tables.
     """
-    from trackwright.trackers.recordings.archives import require_new
+    from trackwright.trackers.recordings.tracks_table import require_new
 
     require_new(out, "calibration.toml", force)
     from trackwright.experiments.cli.console import output_folder, prepared, running
@@ -101,7 +100,7 @@ def survey(
         force: replace a file that exists, and take ranges in spite of the errors that `trackwright check` finds.
         json: print positions, delays, intervals and verdicts as JSON instead of a table.
     """
-    from trackwright.trackers.recordings.archives import require_new
+    from trackwright.trackers.recordings.tracks_table import require_new
 
     require_new(out, "rig.toml", force)
     from trackwright.experiments.cli.console import notices, output_folder, running

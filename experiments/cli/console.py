@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 from trackwright.experiments.cli.options import Readings
 from trackwright.experiments.text.terminal import Begin, notice, stages
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.recordings.archives import require_output
 from trackwright.trackers.recordings.atomic import config_hash, json_text, write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
 from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.tracks_table import require_output
 
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.calibration import Calibration

@@ -21,10 +21,9 @@ from trackwright.trackers.evaluation.evaluate import (
     rows_of,
     violation,
 )
-from trackwright.trackers.recordings.archives import read_archive
-from trackwright.trackers.recordings.atomic import held, json_text, write_whole
+from trackwright.trackers.recordings.atomic import json_text, write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, require_sources
+from trackwright.trackers.recordings.tracks_table import EVALUATION, TRACKS, read_archive, read_tracks, require_sources
 
 COMPARISON = "comparison.html"  # the page that compares runs
 
@@ -42,7 +41,7 @@ def evaluate_archive(out: Path, options: EvaluateOptions) -> int:
     """Evaluates the tracks of an archive again, by tracker, and writes each evaluation.json; the exit code."""
     rows, truths, refused = read_archive(out)
     several, failed = rows["tracker"].n_unique() > 1, False
-    with held(out), running("evaluate", options.json) as run:
+    with running("evaluate", options.json) as run:
         for (tracker,), of in rows.group_by("tracker", maintain_order=True):
             folder = out / str(tracker) if several else out
             tracks = options.used.part.of_estimates(read_tracks(folder))

@@ -44,9 +44,8 @@ def export(
 def _export_c(run: Path, out: Path, tag: str | None, tracker: str | None, noise: Path | None, force: bool) -> int:
     from trackwright.trackers.c_source import write_c
     from trackwright.trackers.catalogue import build, fitting
-    from trackwright.trackers.recordings.archives import require_new
-    from trackwright.trackers.recordings.folder import read_recording
-    from trackwright.trackers.recordings.selection import Selection
+    from trackwright.trackers.recordings.folder import Selection, read_recording
+    from trackwright.trackers.recordings.tracks_table import require_new
 
     require_new(out, "tracker.c", force)
     options = TrackOptions(out=out.parent, numbers=Numbers(tracker=tracker), noise=noise)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from trackwright.trackers.recordings.calibration import Calibration
+    from trackwright.trackers.recordings.folder import Selection
     from trackwright.trackers.recordings.named_tracker import NamedTracker
-    from trackwright.trackers.recordings.selection import Selection
     from trackwright.tuning.tuned_file import Tuned
 
 
@@ -31,7 +31,7 @@ def _number(low: float, high: float = math.inf, words: str = "") -> Callable[[An
 
 
 def _output(_: Any, path: Path | None) -> None:
-    from trackwright.trackers.recordings.archives import require_output
+    from trackwright.trackers.recordings.tracks_table import require_output
 
     if path is not None:
         require_output(path)
@@ -96,7 +96,7 @@ class Part:
     @property
     def part(self) -> Selection:
         """The part of each recording."""
-        from trackwright.trackers.recordings.selection import Selection
+        from trackwright.trackers.recordings.folder import Selection
 
         return Selection(self.tag, self.from_, self.to)
 

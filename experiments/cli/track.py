@@ -23,7 +23,7 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
     """
     from trackwright.experiments.cli.console import keep_programs, notices, prepared, running
-    from trackwright.trackers.recordings.archives import archive_of
+    from trackwright.trackers.recordings.folder import archive_of
 
     options.read()
     if options.noise is not None and options.tuned is not None:
@@ -67,8 +67,7 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
         evaluate_poses,
         print_comparison,
     )  # fmt: skip
-    from trackwright.trackers.recordings.archives import RECORDINGS, RESULTS
-    from trackwright.trackers.recordings.tracks_table import require_sources
+    from trackwright.trackers.recordings.tracks_table import RECORDINGS, RESULTS, require_sources
 
     folder, poses, truth = runs[0], options.poses, options.truth
     if len(runs) > 1:

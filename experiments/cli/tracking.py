@@ -35,9 +35,8 @@ from trackwright.trackers.evaluation.cautions import level_caution
 from trackwright.trackers.evaluation.events import EVENTS
 from trackwright.trackers.evaluation.scored_run import ScoredRun
 from trackwright.trackers.programs.process_settings import give_back
-from trackwright.trackers.recordings.archives import RESULTS
 from trackwright.trackers.recordings.atomic import Content, write_whole
-from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text
+from trackwright.trackers.recordings.tracks_table import EVALUATION, RESULTS, SOURCES, TRACKS, sources_text
 from trackwright.trackers.recordings.trajectories import known_height
 
 

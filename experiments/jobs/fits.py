@@ -104,12 +104,10 @@ def cross_fitted(
 
 
 def _spread_of(whole: Calibration, part: RecordingFolder) -> RecordingFolder:
-    """The recording with the spreads of a calibration."""
+    """The recording with the spread of the ranges of a calibration."""
     if part.calibration is None:
         return part
-    differences = replace(part.calibration.differences, spread=whole.differences.spread)
-    own = replace(part.calibration, range_spread=whole.range_spread, differences=differences)
-    return replace(part, calibration=own)
+    return replace(part, calibration=replace(part.calibration, range_spread=whole.range_spread))
 
 
 def with_fitted(named: NamedTracker, result: FitResult, values: Mapping[str, np.ndarray] | None = None) -> NamedTracker:

@@ -11,9 +11,9 @@ from trackwright.experiments.monte_carlo.errors import TrackedRuns, joined, scor
 from trackwright.trackers.core.data.estimates import Estimates, Status, is_usable
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.rows import last_of_intervals
+from trackwright.trackers.recordings.columns import TruthStatus
 from trackwright.trackers.recordings.tracks import angles
 from trackwright.trackers.recordings.trajectories import Trajectories
-from trackwright.trackers.recordings.truth import TruthStatus
 
 ROWS_AT_ONCE = 65_536  # rows that are scored together: their numbers fit the processor's cache
 

@@ -5,9 +5,9 @@ import polars as pl
 import pytest
 
 from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.columns import PIECE_M, PIECE_S
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.trackers.recordings.truth import PIECE_M, PIECE_S
 from trackwright.tuning.calibration_pairs import calibration_pairs
 
 

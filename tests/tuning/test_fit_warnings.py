@@ -47,26 +47,6 @@ def test_a_fit_to_data_of_the_model_has_no_cautions():
     assert "caution" not in repr(result)
 
 
-def test_readings_that_repeat_stop_at_their_rounding_and_are_named():
-    rng = np.random.default_rng(2)
-    # a slow walk on a grid of 0.2 m: most readings repeat, and a likelihood would take the noise to zero
-    places = np.round(_walk(rng, 600, 0.05) / 0.2) * 0.2
-    result = tw.fit(line_tracker(0.05, 0.1), _gauge(places, 0 * places), "nll", LEVELS)
-    sigma = float(result.values["sensors.gauge.sigma"])
-    assert sigma == pytest.approx(0.2 / np.sqrt(12), rel=1e-3)
-    rounding, repeats = result.cautions[:2]
-    assert rounding.startswith("sensors.gauge.sigma fell to 0.0577 m, the rounding of its readings")
-    assert "% of the readings of gauge repeat the one before" in repeats
-    free = tw.fit(
-        line_tracker(0.05, 0.1),
-        _gauge(places, 0 * places),
-        "nll",
-        LEVELS,
-        tw.FitOptions(bounds={"sensors.*": (1e-3, 1.0)}),
-    )
-    assert float(free.values["sensors.gauge.sigma"]) < 0.05, "the user's own bounds count"
-
-
 def test_a_noise_level_that_collapses_without_a_grid_is_named():
     places = _walk(np.random.default_rng(3), 600)
     result = tw.fit(line_tracker(0.3, 30.0), _gauge(places, 0 * places), "nll", LEVELS, tw.FitOptions(prior="flat"))

@@ -5,15 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import trackwright as tw
-from tests.tuning.worlds import STATION, line_tracker, walks
+from tests.tuning.worlds import STATION
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import bearing_tracker
-from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.model.tunable import Covariance, Fraction, Real, Scale, tunables
-from trackwright.trackers.recordings.reading_grids import reading_grids
-from trackwright.tuning.parameters import flatten, floors, physical, physical_errors, select_parameters, with_parameters
+from trackwright.tuning.parameters import flatten, physical, physical_errors, select_parameters, with_parameters
 
 
 @pytest.fixture(scope="module")
@@ -78,35 +75,3 @@ def test_standard_errors_of_physical_values_match_those_of_drawn_vectors():
         # 20,000 draws know a standard deviation to half a percent; the curvature at 1e-3 adds less
         np.testing.assert_allclose(error, np.std(values, axis=0), rtol=0.03)
     assert [e.shape for e in errors] == [(), (2,), (), (2, 2)]
-
-
-SIGMA = "sensors.gauge.sigma"
-
-
-def test_noise_levels_have_the_rounding_as_their_lower_bound_unless_bounded():
-    rng = np.random.default_rng(4)
-    (made,) = walks([500], 1)
-    values = 0.2 * np.round(rng.normal(0, 3, (500, 1)))
-    recording = Recording(made.times, {"gauge": Readings(values, np.ones((500, 1), bool))}, made.inputs)
-    tracker = line_tracker()
-    parameters = select_parameters(tracker, ["motion.sigma_v", SIGMA])
-    grids = reading_grids(tracker, [stack([recording])])
-    assert floors(grids, parameters, {}) == pytest.approx([-np.inf, np.log(0.2 / np.sqrt(12))], rel=1e-4)
-    assert floors(grids, parameters, {SIGMA: (0.01, 1.0)})[1] == -np.inf
-
-
-def test_readings_that_are_held_are_bounded_by_their_changes():
-    rng = np.random.default_rng(5)
-    (made,) = walks([600], 1)
-    held = np.repeat(np.cumsum(0.3 * rng.choice([-1, 1], 200) * rng.uniform(0.9, 1.1, 200)), 3)[:, None]
-    recording = Recording(made.times, {"gauge": Readings(held, np.ones((600, 1), bool))}, made.inputs)
-    tracker = line_tracker()
-    (grid,) = reading_grids(tracker, [stack([recording])])
-    assert np.isnan(grid.step)
-    assert grid.change == pytest.approx(0.3, rel=0.05)
-    parameters = select_parameters(tracker, [SIGMA])
-    assert floors([grid], parameters, {}) == pytest.approx(np.log(grid.change / np.sqrt(12)), rel=1e-6)
-    result = tw.fit(line_tracker(0.3, 0.5), recording, "nll", ["motion.sigma_v", SIGMA])
-    assert result.cautions[0].startswith(
-        f"{SIGMA} fell to {grid.change / np.sqrt(12):.3g} m, the typical change of its"
-    )

@@ -14,10 +14,8 @@ from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.judge import correlation_times, energy_scores
-from trackwright.trackers.recordings.columns import float_column, require_columns
-from trackwright.trackers.recordings.kinds import QUATERNION
+from trackwright.trackers.recordings.columns import QUATERNION, TruePaths, TruthStatus, float_column, require_columns
 from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, track_keys
-from trackwright.trackers.recordings.truth import TruePaths, TruthStatus
 
 Stations = Mapping[str, Mapping[str, Station]]
 """By recording, its stations by id."""

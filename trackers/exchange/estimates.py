@@ -17,8 +17,7 @@ from trackwright.trackers.exchange.mapping import refuse_lost_digits
 from trackwright.trackers.exchange.pose_errors import TrajectoryErrors, compare_trajectories, step_of
 from trackwright.trackers.exchange.trajectories import read_trajectory, trajectory_of_table
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.table_file import SUFFIXES, read_table_file
-from trackwright.trackers.recordings.tables import check_stds
+from trackwright.trackers.recordings.tables import SUFFIXES, check_stds, read_table_file
 from trackwright.trackers.recordings.tracks_table import is_bearing
 
 _TEXT = ("recording", "tag", "station", "status", "wrapped")

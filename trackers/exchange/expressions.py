@@ -9,7 +9,7 @@ from typing import NamedTuple
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed, near
-from trackwright.trackers.recordings.table_file import TableFile, first_row, remedy
+from trackwright.trackers.recordings.tables import TableFile, first_row, remedy
 
 CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}  # times of day; days, counted to the begin of 1970
 

@@ -69,10 +69,10 @@ def format_of(path: Path) -> str:
 
 def beginning_of(path: Path) -> str:
     """The first lines of a file; raises UnusableInput for one that cannot be read."""
-    from trackwright.trackers.recordings.input_file import beginning
+    from trackwright.trackers.recordings.input_file import file_bytes
 
     try:
-        return beginning(path, 20_000).decode("utf-8-sig", errors="replace")
+        return file_bytes(path, 20_000).decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
 

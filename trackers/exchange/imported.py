@@ -28,8 +28,7 @@ from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from trackwright.trackers.recordings.kinds import first_time
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
-from trackwright.trackers.recordings.table_file import SUFFIXES, TableFile, first_row
-from trackwright.trackers.recordings.tables import unwrapped_times
+from trackwright.trackers.recordings.tables import SUFFIXES, TableFile, first_row, unwrapped_times
 
 
 def read_source(path: Path, name: str, asked: Asked) -> Source:

@@ -16,7 +16,7 @@ from trackwright.trackers.core.wording import counted
 from trackwright.trackers.exchange.formats import FORMATS
 from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping
 from trackwright.trackers.exchange.text_tables import BEFORE, read_lines, text_of
-from trackwright.trackers.recordings.table_file import TableFile
+from trackwright.trackers.recordings.tables import TableFile
 
 Rows = list[tuple[str, dict[str, Any]]]  # the rows that a line says, each with its table
 

@@ -18,9 +18,10 @@ from trackwright.trackers.core.model.rig import rotation_matrices
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.exchange.expressions import Expression, order_in, parsed, sensor_of, texts_of
 from trackwright.trackers.exchange.text_tables import Reading, read_json, read_rows
+from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.input_file import file_bytes, read_model
-from trackwright.trackers.recordings.kinds import QUATERNION, layout, table_kinds
-from trackwright.trackers.recordings.table_file import TableFile
+from trackwright.trackers.recordings.kinds import layout, table_kinds
+from trackwright.trackers.recordings.tables import TableFile
 
 PRESETS = {path.stem: path for path in (Path(__file__).parent / "presets").glob("[!_]*.toml")}
 """The presets by name; the head of each says what it reads, the units and frames, and where anchors come from."""

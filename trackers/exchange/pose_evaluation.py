@@ -21,8 +21,7 @@ from trackwright.trackers.exchange.estimates import (
 )
 from trackwright.trackers.exchange.pose_errors import Alignment
 from trackwright.trackers.recordings.checks.rules import check_units
-from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
-from trackwright.trackers.recordings.selection import Selection
+from trackwright.trackers.recordings.folder import RecordingFolder, Selection, read_recordings
 from trackwright.trackers.recordings.tracks_table import read_tracks
 
 STEPS = ("1m", "1s")

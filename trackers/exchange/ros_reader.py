@@ -17,13 +17,12 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.exchange.expressions import sensor_of
 from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, read_mapping, spelled_out
-from trackwright.trackers.recordings.input_file import LARGEST, file_bytes, size_of
+from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.kinds import layout
-from trackwright.trackers.recordings.table_file import TableFile
+from trackwright.trackers.recordings.tables import TableFile
 
 MESSAGES = Path(__file__).parent / "presets" / "_messages.toml"  # standard ones, by their type in place of a topic
 RECEIVED = "received"  # field of every message: the time, s, at which the bag received it
-LARGEST_BAG = 2**35  # bytes; only the messages of the topics asked for are held, at most `LARGEST` bytes
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
 
@@ -58,10 +57,9 @@ def read_source(path: Path, name: str, asked: Asked) -> Source:
             store.register(typesys.get_types_from_msg(file_bytes(file).decode("utf-8"), kind))
     with ExitStack() as stack:
         with _told(f"{path}: cannot be read as a ROS bag"):
-            files = [entry for entry in path.iterdir() if not entry.is_dir()] if path.is_dir() else [path]
-            if sum(map(size_of, files)) > LARGEST_BAG:
-                fix = "copy the topics that are needed to a bag of their own"
-                raise UnusableInput(f"{path}: holds more than {LARGEST_BAG / 1e9:.1f} GB; {fix}")
+            for entry in path.iterdir() if path.is_dir() else [path]:
+                if not entry.is_dir():
+                    file_bytes(entry, 0)  # raises for a pipe or device
             reader = stack.enter_context(anyreader.AnyReader([path], default_typestore=store))
         known = sorted(reader.connections, key=lambda c: c.topic)
         topics = f"topics: {listed((f'{c.topic} ({c.msgtype}, {c.msgcount})' for c in known), 20)}"
@@ -94,15 +92,13 @@ def _columns(reader: Any, path: Path, mapping: TableMapping, connections: Any) -
         fix = f"map its fields, as --columns 'range_m=FIELD'; fields: {fields}"
         raise UnusableInput(f"{topic} has {kind}, no standard message for {mapping.table}; {fix}")
     rows: dict[str, list[Any]] = {source: [] for source in sorted(mapping.sources)}
-    messages, size = reader.messages(connections=connections), 0
+    messages = reader.messages(connections=connections)
     for number in count(1):
         with _told(f"{topic}: the bag is broken"):
             record = next(messages, None)
         if record is None:
             break
         (connection, stamp, data), where = record, f"{topic}, message {number}"
-        if (size := size + len(data)) > LARGEST:
-            raise UnusableInput(f"{topic}: its messages hold more than {LARGEST / 1e9:.1f} GB; split the bag")
         fix = f"give its definition and those of its parts, as --messages {kind}.msg, or record it again"
         with _told(f"{where}: is no {kind}, or one that the bag does not define", fix):
             message = reader.deserialize(data, connection.msgtype)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+import gzip
 import json
 import re
 import zlib
@@ -19,8 +20,8 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.exchange.expressions import UNITS
-from trackwright.trackers.recordings.input_file import file_bytes, unpacked
-from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file
+from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.tables import TableFile, first_row, read_table_file
 
 NUMBER = re.compile(r"\s*[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?\s*")
 BEFORE = " \t,;|:[]->"  # what may stand between a time and the content of a line
@@ -46,7 +47,7 @@ def text_of(path: Path, encoding: str = "", errors: str = "strict") -> str:
     """The text of a file, which may be packed; raises UnusableInput with the line of bytes that are no text."""
     try:
         data = file_bytes(path)
-        data = unpacked(path, data) if path.name.endswith(".gz") else data
+        data = gzip.decompress(data) if path.name.endswith(".gz") else data
         utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         text = data.decode(encoding or ("utf-16" if utf_16 else "utf-8"), errors)
     except UnicodeDecodeError as error:

@@ -21,10 +21,8 @@ from trackwright.trackers.exchange.formats import FORMATS, beginning_of
 from trackwright.trackers.exchange.mapping import Asked, Source, refuse_lost_digits
 from trackwright.trackers.exchange.text_tables import Reading, read_rows
 from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.kinds import QUATERNION
-from trackwright.trackers.recordings.table_file import TableFile, first_row
-from trackwright.trackers.recordings.tables import restarted_at, unwrapped_times
+from trackwright.trackers.recordings.columns import QUATERNION, float_column
+from trackwright.trackers.recordings.tables import TableFile, first_row, restarted_at, unwrapped_times
 from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE
 
 Kind = Literal["tum", "kitti", "euroc"]

@@ -1,9 +1,8 @@
-"""Calibrations: the systematic errors of stations and anchors, with their covariances, and their removal from readings;
-and their file `calibration.toml`, written by `calibrate`, read by `--calibration`.
+"""Calibrations: the systematic errors of stations and anchors, with their covariances, and their file calibration.toml.
 
 A station measures each angle a as offset + gain·a + cubic·a³ + cross·a·b, where b is the other angle, both in its array
-frame. An anchor measures the distance d of a tag as d + bias + slope·d + the tag's bias. A range difference is the
-distances' plus the bias of the first anchor less the second's. The fit is in `tuning/calibrating.py`.
+frame. An anchor measures the distance d of a tag as d + bias + slope·d + the tag's bias. The fit is in
+`tuning/calibrating.py`.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ import tomli_w
 from jaxtyping import Float
 from pydantic import BeforeValidator, Field
 
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Point, Rig, Station
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
 from trackwright.trackers.recordings.input_file import AS_FILE, NUMBERS, Count, Number, Positive, read_model
@@ -47,7 +45,7 @@ DETERMINED = 0.7
 LARGEST_ANGLES = np.array([np.pi, np.pi / 2])
 """The largest azimuth and elevation, rad."""
 
-_NEWTON_STEPS, _CONVERGED, _LARGEST_BIAS_M = 20, 1e-10, 10.0
+_NEWTON_STEPS, _CONVERGED = 20, 1e-10
 
 FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
@@ -73,16 +71,6 @@ def _station(given: Any) -> Any:
     return Station(np.array(given["position"]), np.array(given["rotation"])) if isinstance(given, dict) else given
 
 
-def _check(covariances: np.ndarray, spans: np.ndarray | None = None) -> None:
-    """Raises UnusableInput for a matrix (n, k, k) that is no covariance, and for a span (n, 2) whose end is first."""
-    for matrix in covariances:
-        symmetric = np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12)
-        if not symmetric or (len(matrix) and np.linalg.eigvalsh(matrix)[0] < -1e-9 * np.trace(matrix)):
-            raise UnusableInput("no covariance, expected a symmetric, positive semidefinite matrix")
-    if spans is not None and (spans[:, 0] > spans[:, 1]).any():
-        raise UnusableInput(f"span = {spans.tolist()}, expected the lowest before the highest")
-
-
 @dataclass(frozen=True)
 class StationCalibration:
     """The terms of a station's azimuth and elevation.
@@ -100,17 +88,9 @@ class StationCalibration:
     rows: Count = 0
     mounted: Annotated[Station | None, BeforeValidator(_station)] = None
 
-    def __post_init__(self) -> None:
-        _check(self.covariances, self.spans)
-
-    @property
-    def determined(self) -> np.ndarray:
-        """Whether the recordings of the fit determine each term (2, 4), rather than its prior."""
-        return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)) < DETERMINED * ANGLE_PRIOR[1]
-
     def measured(self, true: np.ndarray) -> np.ndarray:
         """The angles (..., 2), rad, that the station measures at true angles (..., 2), without noise."""
-        return _measured(true, self.coefficients, self.spans)
+        return (angle_terms(true, self.spans) * self.coefficients).sum(axis=-1)
 
     def true(self, measured: np.ndarray) -> np.ndarray:
         """The true angles (..., 2), rad, at which the station measures these angles (..., 2)."""
@@ -139,19 +119,6 @@ class AnchorCalibration:
     rows: Count = 0
     position: Annotated[Point | None, NUMBERS] = None
 
-    def __post_init__(self) -> None:
-        _check(self.covariance[None], self.span[None])
-        bias, slope = self.coefficients
-        if slope <= -1.0 or abs(bias) > _LARGEST_BIAS_M:
-            raise UnusableInput(
-                f"bias {bias:g} m and slope {slope:g}, expected at most {_LARGEST_BIAS_M:g} m and a slope above -1"
-            )
-
-    @property
-    def determined(self) -> np.ndarray:
-        """Whether the recordings of the fit determine each term (2,), rather than its prior."""
-        return np.sqrt(np.diag(self.covariance)) < DETERMINED * RANGE_PRIOR[1]
-
 
 @dataclass(frozen=True)
 class TagCalibration:
@@ -171,60 +138,11 @@ class TagCalibration:
 
 
 @dataclass(frozen=True)
-class DifferenceCalibration:
-    """The biases of times of arrival at anchors, as lengths, of which range differences have the difference.
-
-    `biases` (A,) m, of `anchors`, relative to their mean; `covariance` (A, A) m². `positions` (A, 3) m: where they
-    stood. `rows` (A,): the differences of each in the fit. `spread`: the scale of Student's t of the errors that the
-    biases leave in differences, m.
-    """
-
-    __pydantic_config__: ClassVar = AS_FILE
-
-    anchors: tuple[str, ...]
-    biases: Annotated[Float[np.ndarray, " A"], NUMBERS]
-    covariance: Annotated[Float[np.ndarray, "A A"], NUMBERS]
-    positions: Annotated[Float[np.ndarray, "A 3"], NUMBERS]
-    rows: tuple[Count, ...]
-    spread: Number
-
-    def __post_init__(self) -> None:
-        lengths = {len(x) for x in (self.anchors, self.biases, self.covariance, self.positions, self.rows)}
-        if len(lengths) > 1 or len({*self.anchors}) < len(self.anchors):
-            raise UnusableInput(f"anchors = {list(self.anchors)}, expected each once, with one of all other entries")
-        _check(self.covariance[None])
-
-    def __contains__(self, anchor: str) -> bool:
-        return anchor in self.anchors
-
-    @property
-    def determined(self) -> np.ndarray:
-        """Whether the recordings of the fit determine each bias (A,), rather than its prior."""
-        return np.sqrt(np.diag(self.covariance)) < DETERMINED * RANGE_PRIOR[1][0]
-
-    def of(self, anchors: Sequence[str]) -> DifferenceCalibration:
-        """The part on some of its anchors."""
-        part = [self.anchors.index(name) for name in anchors]
-        return replace(
-            self,
-            anchors=tuple(anchors),
-            biases=self.biases[part],
-            covariance=self.covariance[np.ix_(part, part)],
-            positions=self.positions[part],
-            rows=tuple(self.rows[k] for k in part),
-        )
-
-
-NO_DIFFERENCES = DifferenceCalibration((), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3)), (), 0.0)
-"""Range differences without systematic errors."""
-
-
-@dataclass(frozen=True)
 class Calibration:
     """Systematic errors of stations, anchors and tags by their ids; `recordings`: their names in the fit.
 
     `range_spread`: how far the ranges of the fit scatter about it, m: the scale of Student's t, root mean square over
-    the anchors; None without anchors. `differences`: the biases of anchors in range differences.
+    the anchors; None without anchors.
     """
 
     __pydantic_config__: ClassVar = AS_FILE
@@ -234,24 +152,21 @@ class Calibration:
     tags: Mapping[str, TagCalibration] = field(default_factory=dict)
     recordings: tuple[str, ...] = ()
     range_spread: Positive | None = None
-    differences: DifferenceCalibration = NO_DIFFERENCES
 
     def at_rest(self, rig: Rig) -> Calibration:
         """The calibration of those stations and anchors of a rig that stand where they stood."""
-        stations, anchors = rig.stations, rig.anchors
-        still = {
+        places, there = rig.anchors, rig.stations
+        anchors = {
             name: anchor
             for name, anchor in self.anchors.items()
-            if name in anchors and (anchor.position is None or not has_moved(anchor.position, anchors[name]))
+            if name in places and (anchor.position is None or not has_moved(anchor.position, places[name]))
         }
-        places = zip(self.differences.anchors, self.differences.positions, strict=True)
-        unmoved = [name for name, place in places if name in anchors and not has_moved(place, anchors[name])]
-        mounted = {
+        stations = {
             name: station
             for name, station in self.stations.items()
-            if name in stations and (station.mounted is None or not has_turned(station.mounted, stations[name]))
+            if name in there and (station.mounted is None or not has_turned(station.mounted, there[name]))
         }
-        return replace(self, stations=mounted, anchors=still, differences=self.differences.of(unmoved))
+        return replace(self, stations=stations, anchors=anchors)
 
     def of_bearings(
         self, stations: Sequence[str], number: np.ndarray, measured: np.ndarray
@@ -262,18 +177,11 @@ class Calibration:
         and elevation that the uncertainty of the terms adds (N, 2), rad². Stations without a calibration have no
         systematic errors.
         """
-        calibrations = [self.stations.get(name, UNCALIBRATED) for name in stations]
-        coefficients, spans = (
-            np.stack([x.coefficients for x in calibrations])[number],
-            np.stack([x.spans for x in calibrations])[number],
-        )
+        of = [self.stations.get(name, UNCALIBRATED) for name in stations]
+        coefficients, spans = np.stack([x.coefficients for x in of])[number], np.stack([x.spans for x in of])[number]
         true = _true(measured, coefficients, spans)
-        factors, variances = angle_terms(true, spans), np.zeros(true.shape)
-        for k, station in enumerate(calibrations):
-            part = number == k
-            variances[part] = np.einsum("nai,aij,naj->na", factors[part], station.covariances, factors[part])
-        rows = np.concatenate([coefficients.reshape(-1, 8), spans.reshape(-1, 4)], axis=1)
-        return rows, true, variances
+        variances = _variances(angle_terms(true, spans), [x.covariances for x in of], number)
+        return np.concatenate([coefficients.reshape(-1, 8), spans.reshape(-1, 4)], axis=1), true, variances
 
     def of_ranges(
         self, anchors: Sequence[str], number: np.ndarray, tags: Sequence[str], tag: np.ndarray, measured: np.ndarray
@@ -284,31 +192,24 @@ class Calibration:
         the mean tag; ranges to an anchor without one are as measured.
         """
         none = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
-        calibrations = [self.anchors.get(name, none) for name in anchors]
-        known = np.array([name in self.anchors for name in anchors])[number]
+        of = [self.anchors.get(name, none) for name in anchors]
         other = TagCalibration(0.0, TAG_SIGMA if self.tags else 0.0)
         biases = np.array([(x.bias, x.sigma**2) for x in (self.tags.get(name, other) for name in tags)])[tag]
+        known = np.array([name in self.anchors for name in anchors])[number]
         tag_bias, tag_variance = np.where(known[:, None], biases, 0.0).T
-        bias, slope = np.stack([x.coefficients for x in calibrations])[number].T
+        bias, slope = np.stack([x.coefficients for x in of])[number].T
         distances = (measured - bias - tag_bias) / (1.0 + slope)
-        factors, variances = range_terms(distances), tag_variance
-        for k, anchor in enumerate(calibrations):
-            part = number == k
-            variances[part] += np.einsum("ni,ij,nj->n", factors[part], anchor.covariance, factors[part])
+        variances = tag_variance + _variances(range_terms(distances), [x.covariance for x in of], number)
         return distances, variances / (1.0 + slope) ** 2
 
-    def of_differences(
-        self, anchors: Sequence[str], number: np.ndarray, measured: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The differences of distances (N,), m, of range differences (N,) to `anchors[number]` (N, 2).
 
-        Also the variances that the uncertainty of the biases adds (N,), m². An anchor without a calibration has none.
-        """
-        known = self.differences
-        signs = np.array([[name == other for other in known.anchors] for name in anchors], float)
-        signs = signs.reshape(len(anchors), len(known.anchors))
-        factors = signs[number[:, 0]] - signs[number[:, 1]]
-        return measured - factors @ known.biases, np.einsum("ni,ij,nj->n", factors, known.covariance, factors)
+def _variances(factors: np.ndarray, covariances: Sequence[np.ndarray], number: np.ndarray) -> np.ndarray:
+    """The variances φᵀ·covariance·φ (N, …) of factors φ (N, …, k) with `covariances[number]` (…, k, k)."""
+    result = np.zeros(factors.shape[:-1])
+    for k, covariance in enumerate(covariances):
+        part = number == k
+        result[part] = np.einsum("n...i,...ij,n...j->n...", factors[part], covariance, factors[part])
+    return result
 
 
 def has_moved(before: Point, now: Point) -> bool:
@@ -323,10 +224,6 @@ def has_turned(before: Station, now: Station) -> bool:
     return has_moved(before.position, now.position) or float(np.arccos(np.clip(cosine, -1.0, 1.0))) > MOVED_RAD
 
 
-def _measured(true: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> np.ndarray:
-    return (angle_terms(true, spans) * coefficients).sum(axis=-1)
-
-
 def _true(measured: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> np.ndarray:
     """The true angles, by Newton's method within the largest angles."""
     _, gain, cubic, cross = np.moveaxis(coefficients, -1, 0)
@@ -335,7 +232,7 @@ def _true(measured: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> 
         inside = np.clip(angles, spans[..., 0], spans[..., 1])
         diagonal = gain + 3.0 * cubic * inside**2 + cross * inside[..., ::-1]
         other = np.where((inside == angles)[..., ::-1], cross * angles, 0.0)
-        miss = measured - _measured(angles, coefficients, spans)
+        miss = measured - (angle_terms(angles, spans) * coefficients).sum(axis=-1)
         determinant = diagonal[..., :1] * diagonal[..., 1:] - other[..., :1] * other[..., 1:]
         step = (diagonal[..., ::-1] * miss - other * miss[..., ::-1]) / determinant
         before, angles = angles, np.clip(angles + step, -LARGEST_ANGLES, LARGEST_ANGLES)
@@ -346,18 +243,12 @@ def _true(measured: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> Path:
     """Writes the calibration to the file `path`, completely or not at all; raises UnusableInput where it cannot be."""
-    content = asdict(calibration)
-    if not calibration.differences.anchors:
-        del content["differences"]
-    text = COMMENT + tomli_w.dumps({"format": FORMAT, **json.loads(json_text(_given(content)))})
+
+    def given(table: Mapping[str, Any]) -> dict[str, Any]:
+        return {key: given(x) if isinstance(x, Mapping) else x for key, x in table.items() if x is not None}
+
+    text = COMMENT + tomli_w.dumps({"format": FORMAT, **json.loads(json_text(given(asdict(calibration))))})
     return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def _given(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table without keys that have no value."""
-    return {
-        key: _given(value) if isinstance(value, Mapping) else value for key, value in table.items() if value is not None
-    }
 
 
 def read_calibration(path: str | Path) -> Calibration:

@@ -1,17 +1,26 @@
-"""Columns of tables as arrays: numbers, rows by tag with their masks, runs of equal keys, required columns."""
+"""Columns of tables as arrays: numbers, rows by tag with their masks, and the true paths between rows of truth."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from functools import cached_property, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import polars as pl
 
+from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S, first_not_before
 from trackwright.trackers.core.errors import UnusableInput
 
-NUMERIC_ENDINGS = ("_s", "_m", "_m2", "_rad", "nis", "nis_dof")
+QUATERNION = ("qw", "qx", "qy", "qz")
+
+PIECE_S, PIECE_M = 5.0, 1.0
+"""Least duration, s, and way, m, of a piece of time: errors of different pieces count as independent."""
+
+_NUMERIC = ("_s", "_m", "_m2", "_rad", "nis", "nis_dof")
 """Endings of the names of numeric columns in tables of estimates and of truth."""
 
 
@@ -20,7 +29,6 @@ def float_column(frame: pl.DataFrame, name: str) -> np.ndarray:
     if name not in frame.columns:
         return np.full(len(frame), np.nan)
     column = frame[name].cast(pl.Float64)
-    # polars plans a query for each `fill_null`.
     return (column.fill_null(np.nan) if column.null_count() else column).to_numpy()
 
 
@@ -59,8 +67,6 @@ class TagRows(ABC):
 
     def variances(self, names: Sequence[str]) -> np.ndarray:
         """The squares of standard deviations (N, m), zero where none is reported."""
-        if not any(name in self for name in names):
-            return np.zeros((len(self.times), len(names)))
         return np.nan_to_num(self.floats(names)) ** 2
 
     def of_each(self, per_tag: np.ndarray) -> np.ndarray:
@@ -69,7 +75,7 @@ class TagRows(ABC):
 
 
 class TableRows(TagRows):
-    """The rows of a data frame by tag; a column is brought into their order when it is first read."""
+    """The rows of a data frame by tag."""
 
     def __init__(self, table: pl.DataFrame) -> None:
         tags = table["tag"].cast(pl.String)
@@ -79,23 +85,16 @@ class TableRows(TagRows):
         self._order: Any = slice(None) if len(self.tags) == 1 else stable_order(number)
         self._table = table
         self.times = float_column(table, "t_s")[self._order]
-        self._by_ids: dict[tuple[str, tuple[str, ...]], np.ndarray] = {}
 
     def __contains__(self, name: str) -> bool:
         return name in self._table.columns
 
     def floats(self, names: Sequence[str]) -> np.ndarray:
-        values = np.empty((len(names), len(self.times)))
-        for column, name in zip(values, names, strict=True):
-            column[:] = float_column(self._table, name)[self._order]
         # Each column is contiguous.
-        return values.T
+        return np.array([float_column(self._table, name)[self._order] for name in names]).T
 
     def codes(self, name: str, ids: Sequence[str]) -> np.ndarray:
-        key = name, tuple(ids)
-        if key not in self._by_ids:
-            self._by_ids[key] = codes(self._table[name], key[1])[self._order].astype(int)
-        return self._by_ids[key]
+        return codes(self._table[name], ids)[self._order].astype(int)
 
 
 def stable_order(numbers: np.ndarray) -> np.ndarray:
@@ -116,31 +115,163 @@ def codes(column: pl.Series, ids: Sequence[str]) -> np.ndarray:
 
 def run_starts(rows: pl.DataFrame, keys: list[str]) -> np.ndarray:
     """Start indices (g + 1,) of the g runs of equal `keys` in sorted rows; the last entry is the number of rows."""
-    if len(rows) == 0:
-        return np.zeros(1, int)
-    group = rows.select(pl.struct(keys).rle_id()).to_series().to_numpy()
-    return np.concatenate([[0], np.flatnonzero(np.diff(group)) + 1, [len(rows)]])
+    lengths = rows.select(pl.struct(keys).rle().struct.field("len")).to_series().to_numpy()
+    return np.concatenate([[0], np.cumsum(lengths)]).astype(int)
 
 
 def require_columns(frame: pl.DataFrame, columns: list[str], what: str) -> None:
     """Raises UnusableInput for a missing column, text in a numeric one, or numbers in `status`; `what`: the table."""
     missing = [name for name in columns if name not in frame.columns]
+    numeric = {name: kind.is_numeric() or kind == pl.Null for name, kind in frame.schema.items()}
+    text = [name for name in frame.columns if name.endswith(_NUMERIC) and not numeric[name]]
     if missing:
-        raise UnusableInput(
-            f"{what}: no column {', '.join(missing)}; found {', '.join(frame.columns) or 'none'}; "
-            f"expected {', '.join(columns)}; give the table written by `trackwright track` or the truth of a recording"
-        )
-    text = [name for name in frame.columns if name.endswith(NUMERIC_ENDINGS) and not _is_numeric(frame.schema[name])]
-    if text:
-        raise UnusableInput(
-            f"{what}: column {text[0]} holds {frame.schema[text[0]]}; expected numbers; convert the column"
-        )
-    if _is_numeric(frame.schema.get("status", pl.String())):
-        raise UnusableInput(
-            f"{what}: column status holds {frame.schema['status']}; expected words such as ok, lost, waiting; "
-            "write the words or leave the column out"
-        )
+        found = f"no column {', '.join(missing)}; found {', '.join(frame.columns) or 'none'}"
+        fix = f"{', '.join(columns)}; give the table written by `trackwright track` or the truth of a recording"
+    elif text:
+        found, fix = f"column {text[0]} holds {frame.schema[text[0]]}", "numbers; convert the column"
+    elif numeric.get("status"):
+        found = f"column status holds {frame.schema['status']}"
+        fix = "words such as ok, lost, waiting; write the words or leave the column out"
+    else:
+        return
+    raise UnusableInput(f"{what}: {found}; expected {fix}")
 
 
-def _is_numeric(kind: pl.DataType) -> bool:
-    return kind.is_numeric() or kind == pl.Null
+class TruthStatus(IntEnum):
+    """Whether an estimate is scored against truth, and the reason if it is not."""
+
+    SCORED = 0
+    NO_ESTIMATE = 1
+    NO_TRUTH = 2
+    HOLE = 3
+
+
+class TruePaths:
+    """The true paths of tags: positions at sorted times, no two of them equal, between which they are interpolated.
+
+    `tags`: of the paths. `starts` (paths + 1,): the first row of each path, then their number n. `times` (n,) s and
+    `positions` (n, 3) m: z is NaN where there is no height. `attitudes`: the quaternions (n, 4) of the bodies, NaN
+    where they are not known, read with the first heading; None for none.
+    """
+
+    def __init__(
+        self,
+        tags: Sequence[str],
+        starts: np.ndarray,
+        times: np.ndarray,
+        positions: np.ndarray,
+        attitudes: Callable[[], np.ndarray] | None = None,
+    ) -> None:
+        self.number = {tag: k for k, tag in enumerate(tags)}
+        self.starts, self.times, self.positions, self._attitudes = starts, times, positions, attitudes
+
+    @classmethod
+    def none(cls) -> TruePaths:
+        """No path at all."""
+        return cls([], np.zeros(1, int), np.zeros(0), np.zeros((0, 3)))
+
+    @classmethod
+    def of_table(cls, truth: pl.DataFrame, recording: str) -> TruePaths:
+        """The paths of a table with columns t_s, tag, x_m, y_m and optionally z_m; rows without x or y are left out.
+
+        `recording`: its name, for messages. Raises UnusableInput.
+        """
+        require_columns(truth, ["t_s", "tag", "x_m", "y_m"], f"the truth of recording '{recording}'")
+        known = pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite())
+        present = truth.with_columns(pl.col("tag").cast(pl.String)).filter(known)
+        present = present.unique(["tag", "t_s"], keep="first", maintain_order=True)
+        return cls.of_rows(TableRows(present.sort("t_s", maintain_order=True)))
+
+    @classmethod
+    def of_rows(cls, rows: TagRows) -> TruePaths:
+        """The paths of rows by tag, at sorted times, no two of a tag equal."""
+        attitudes = partial(rows.floats, QUATERNION) if QUATERNION[0] in rows else None
+        return cls(rows.tags, rows.starts, rows.times, rows.floats(("x_m", "y_m", "z_m")), attitudes)
+
+    @cached_property
+    def headings(self) -> np.ndarray | None:
+        """The headings (n,) of the bodies about the vertical, rad, NaN where they are not known; None for all."""
+        if self._attitudes is None:
+            return None
+        w, x, y, z = self._attitudes().T
+        return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+    def of_tag(self, tag: str) -> tuple[np.ndarray, np.ndarray]:
+        """Times (n,) s and positions (n, 3) m of one path."""
+        part = slice(*self.starts[self.number[tag] :][:2])
+        return self.times[part], self.positions[part]
+
+    def headings_at(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """True headings (N,), rad, linearly interpolated, of rows as in `at`; NaN where they are not known.
+
+        Nor are they between attitudes further apart than a hole of the truth may be long, whatever the way covered.
+        """
+        result = np.full(len(times), np.nan)
+        for tag, first, end in zip(tags, starts[:-1], starts[1:], strict=True):
+            if self.headings is None or tag not in self.number:
+                continue
+            part = slice(*self.starts[self.number[tag] :][:2])
+            known = np.isfinite(self.headings[part])
+            if known.any():
+                angles = np.unwrap(self.headings[part][known])
+                known_times, asked = self.times[part][known], times[first:end]
+                before, after = (np.searchsorted(known_times, asked, side) for side in ("left", "right"))
+                gaps = np.diff(known_times, prepend=-np.inf, append=np.inf)
+                values = np.interp(asked, known_times, angles, np.nan, np.nan)
+                result[first:end] = np.where((before == after) & (gaps[before] > HOLE_S), np.nan, values)
+        return result
+
+    def at(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """True positions (N, 3), m, linearly interpolated at `times` (N,), s, and their `TruthStatus` (N,).
+
+        The rows `starts[k]` … `starts[k + 1] − 1` are of tag `tags[k]`. NaN without a path, outside its span, in its
+        holes, and at a time that is NaN.
+        """
+        number, lengths = np.array([self.number.get(tag, -1) for tag in tags], int), np.diff(starts)
+        if len(self.times) and (number >= 0).all() and np.array_equal(lengths, np.diff(self.starts)[number]):
+            rows = np.arange(len(times)) + np.repeat(self.starts[number] - starts[:-1], lengths)
+            if np.array_equal(self.times[rows], times):  # as in studies
+                return self.positions.take(rows, axis=0), np.full(len(times), TruthStatus.SCORED, np.uint8)
+        path = np.repeat(number, lengths)
+        status, position = np.full(len(times), TruthStatus.NO_TRUTH, np.uint8), np.full((len(times), 3), np.nan)
+        if not len(self.times):
+            return position, status
+        first, last = self.starts[:-1][path], self.starts[1:][path] - 1
+        inside = np.flatnonzero((path >= 0) & (times >= self.times[first]) & (times <= self.times[last]))
+        asked = times[inside]
+        after = first_not_before(self.times, first[inside], last[inside], asked)
+        before = np.where(self.times[after] == asked, after, after - 1)
+        span, here, there = self.times[after] - self.times[before], self.positions[before], self.positions[after]
+        # In the order of np.interp.
+        slope = (there - here) / np.where(span > 0.0, span, 1.0)[:, None]
+        position[inside] = slope * (asked - self.times[before])[:, None] + here
+        moved = np.sqrt(np.nansum((there - here) ** 2, axis=1))
+        hole = (span > HOLE_S) & (moved > HOLE_M)
+        position[inside[hole]] = np.nan
+        status[inside] = np.where(hole, TruthStatus.HOLE, TruthStatus.SCORED)
+        return position, status
+
+
+def independent_pieces(times: np.ndarray, positions: np.ndarray, starts: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """The number of each row's piece of time (n,): a new one after `PIECE_S` and `PIECE_M`, the same for all tags.
+
+    A tag that stands still stays in one piece, since its readings have the errors of one place. `times` (n,) s
+    and `positions` (n, d) m of the tags, whose rows stand one after another from `starts` (tags + 1,); `known` (n,):
+    where there is a position.
+    """
+    # The way of the tag that moves most stands for all of them: tags on one body move together.
+    ways = []
+    for begin, end in pairwise(starts):
+        index = begin + np.flatnonzero(known[begin:end])
+        if len(index) > 1:
+            steps = np.linalg.norm(np.diff(positions[index], axis=0), axis=1)
+            ways.append((times[index], np.append(0.0, np.cumsum(steps))))
+    if not ways:
+        return np.zeros(len(times), int)
+    of_most, way = max(ways, key=lambda pair: pair[1][-1])
+    begins, last = [of_most[0]], (of_most[0], 0.0)
+    for time, gone in zip(of_most, way, strict=True):
+        if time - last[0] >= PIECE_S and gone - last[1] >= PIECE_M:
+            begins.append(time)
+            last = (time, gone)
+    return np.searchsorted(np.array(begins), times, side="right")

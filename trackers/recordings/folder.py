@@ -1,4 +1,4 @@
-"""Recording folders: a `rig.toml` and the tables beside it, read into memory and written back.
+"""Recording folders: a `rig.toml` and the tables beside it, read into memory, selected from, and written back.
 
 An unusable file is refused with a message of one line that names it; anomalies in usable data are kept as notices.
 """
@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import difflib
 import gzip
+import hashlib
 import math
-from collections import Counter
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -17,18 +18,15 @@ from typing import IO, TYPE_CHECKING, Any, Literal, cast, get_args
 
 import polars as pl
 
-from trackwright.trackers.core.data.frames import html_table
-from trackwright.trackers.core.data.seconds import moment, seconds
+from trackwright.trackers.core.data.seconds import UNIX_S, seconds
 from trackwright.trackers.core.errors import UnusableInput, has_control, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.checks.rules import check_rows
-from trackwright.trackers.recordings.columns import TableRows, TagRows
-from trackwright.trackers.recordings.kinds import KINDS, Layout, distinct, std_column, table_kinds
+from trackwright.trackers.recordings.columns import TableRows, TagRows, TruePaths
+from trackwright.trackers.recordings.kinds import KINDS, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
-from trackwright.trackers.recordings.table_file import SUFFIXES
-from trackwright.trackers.recordings.tables import read_table
-from trackwright.trackers.recordings.truth import TruePaths
+from trackwright.trackers.recordings.tables import SUFFIXES, read_table
 
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.calibration import Calibration
@@ -38,18 +36,23 @@ Kind = Literal["parquet", "csv.gz", "csv"]
 FOLDERS = "one or more recording folders, as `read`, `read_all` and `world.folder()` return them"
 """What a refusal of anything else expects."""
 
-_SHOWN_IDS = 4
+MANY = 60
+"""The most recordings that are tracked together: as many as a page shows."""
 
-_OTHER_DATA = (
-    ".txt", ".tsv", ".dat", ".json", ".xlsx", ".zip", ".bz2", ".xz", ".zst", ".feather", ".npz", ".mat", ".pq",
-)  # fmt: skip
+_OTHER_DATA = (".txt", ".tsv", ".dat", ".json", ".xlsx", ".zip", ".feather", ".npz", ".mat", ".pq")
 
 
 class Tables(Mapping[str, pl.DataFrame]):
     """The tables of a recording by name; their rows by tag and the true paths are made once."""
 
     def __init__(self, frames: Mapping[str, pl.DataFrame]) -> None:
-        self._frames = {name: _in_seconds(frame) for name, frame in frames.items()}
+        # A cast of time stamps to numbers would count their unit.
+        self._frames = {
+            name: frame.with_columns(t_s=seconds(frame["t_s"].to_numpy()))
+            if frame.schema.get("t_s", pl.Float64()).is_temporal()
+            else frame
+            for name, frame in frames.items()
+        }
         self._rows: dict[tuple[str, float], TagRows] = {}
         self._paths: TruePaths | None = None
 
@@ -79,20 +82,13 @@ class Tables(Mapping[str, pl.DataFrame]):
         return self._paths
 
 
-def _in_seconds(frame: pl.DataFrame) -> pl.DataFrame:
-    """The table with time stamps as seconds; a cast of them to numbers would count their unit."""
-    if not frame.schema.get("t_s", pl.Float64()).is_temporal():
-        return frame
-    return frame.with_columns(t_s=seconds(frame["t_s"].to_numpy()))
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class RecordingFolder:
     """A recording: its geometry, its tables, and notices of anomalies.
 
     `path`: the folder it was read from, None for one made in memory. `tables`: by name, with t_s and values as Float64,
     ids as String, null where a value is missing. `notices`: one line for each anomaly found while reading.
-    `calibration`: the systematic errors that trackers remove from bearings, ranges, tdoa; the tables are as measured.
+    `calibration`: the systematic errors that trackers remove from bearings and ranges; the tables are as measured.
     `average_s`: interval, s, over which its readings are averages; None where trackers are to average of themselves.
     `origin`: x and y, m, in the recording as it was read, of the point from which positions are given.
     `unaveraged`: the recording that they are averages of, None for readings as they were.
@@ -132,9 +128,11 @@ class RecordingFolder:
         Stations and anchors that no longer stand where they were calibrated are uncalibrated, with a notice where none
         is left.
         """
-        at_rest = None if calibration is None else calibration.at_rest(self.rig)
-        calibrated = replace(self, calibration=at_rest)
-        if at_rest is None or len(calibrated.uncalibrated()) < len(replace(self, calibration=None).uncalibrated()):
+        plain = replace(self, calibration=None)
+        if calibration is None:
+            return plain
+        calibrated = replace(self, calibration=calibration.at_rest(self.rig))
+        if len(calibrated.uncalibrated()) < len(plain.uncalibrated()):
             return calibrated
         text = "not calibrated: the calibration has none of its stations and anchors, or they have moved"
         return replace(calibrated, notices=(*calibrated.notices, text))
@@ -153,7 +151,7 @@ class RecordingFolder:
     def uncalibrated(self) -> list[str]:
         """Stations with bearings and anchors with ranges that the calibration lacks, in words; all without one."""
         return [
-            f"{kind.noun} {name}" + (f" of {table}" if kind.difference else "")
+            f"{kind.noun} {name}"
             for table, kind in KINDS.items()
             if kind.calibrated is not None and table in self.tables
             for name in sorted({*chain(*(self.tables[table][of].cast(pl.String).unique() for of in kind.sensors))})
@@ -163,35 +161,14 @@ class RecordingFolder:
     def __repr__(self) -> str:
         tables = ", ".join(f"{name} {table.height:,} rows" for name, table in self.tables.items())
         tags = {tag: None for table in self.tables.values() for tag in table["tag"].unique(maintain_order=True)}
-        lines = [
-            f"RecordingFolder {self.name!r}",
-            f"  tables: {tables or 'none'}",
-            f"  tags: {_counted(tags)}",
-            f"  anchors: {_counted(self.rig.anchors)}",
-            f"  stations: {_counted(self.rig.stations)}",
-            f"  truth: {'yes' if 'truth' in self.tables else 'no'}",
-            *self._calibration(),
-            f"  notices: {len(self.notices)}",
-        ]
-        return "\n".join(line for line in lines if not line.endswith(": 0"))
-
-    def _calibration(self) -> list[str]:
-        """A line on how many of the stations and anchors with readings are calibrated, none without a calibration."""
-        if self.calibration is None:
-            return []
-        total = len(replace(self, calibration=None).uncalibrated())
-        return [f"  calibration: of {total - len(self.uncalibrated())} of {total} stations and anchors"]
-
-    def _repr_html_(self) -> str:
-        """Its tables with rows, tags and span of time."""
-        rows = [
-            (name, table.height, table["tag"].n_unique(), moment(t.min()), moment(t.max()))
-            for name, table in self.tables.items()
-            if {"t_s", "tag"} <= set(table.columns)
-            for t in [seconds(table["t_s"].to_numpy())]
-        ]
-        caption = f"recording {self.name}: {len(self.rig.anchors)} anchors, {len(self.rig.stations)} stations"
-        return html_table(caption, ("table", "rows", "tags", "from", "to"), rows)
+        parts: dict[str, Iterable[str]] = {"tags": tags, "anchors": self.rig.anchors, "stations": self.rig.stations}
+        lines = [f"  {what}: {len([*ids])} ({listed(ids, 4)})" for what, ids in parts.items() if [*ids]]
+        lines += [f"  truth: {'yes' if 'truth' in self.tables else 'no'}"]
+        if self.calibration is not None:
+            total = len(replace(self, calibration=None).uncalibrated())
+            lines += [f"  calibration: of {total - len(self.uncalibrated())} of {total} stations and anchors"]
+        lines += [f"  notices: {len(self.notices)}"] * bool(self.notices)
+        return "\n".join([f"RecordingFolder {self.name!r}", f"  tables: {tables or 'none'}", *lines])
 
 
 def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
@@ -212,7 +189,7 @@ def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
     # No column has an empty name.
     groups = rows.group_by((pl.col("t_s") / interval).floor().alias(""), *columns.ids)
     averages = groups.agg(pl.col("t_s").mean(), *means, *squares).sort("t_s", *columns.ids)
-    return averages.select(_ordered(table, columns))
+    return averages.select(c for c in table.columns if c in ("t_s", *chain(*columns)))
 
 
 def _mean(column: str) -> pl.Expr:
@@ -223,16 +200,73 @@ def _mean(column: str) -> pl.Expr:
     return pl.when(value.count() > 0).then(pl.arctan2(value.sin().mean(), value.cos().mean()))
 
 
-def _ordered(table: pl.DataFrame, columns: Layout) -> list[str]:
-    """The columns of the format, in the order of the table."""
-    return [c for c in table.columns if c in ("t_s", *chain(*columns))]
+@dataclass(frozen=True)
+class Selection:
+    """Which rows of recordings are used; by default all.
+
+    `tags`: those kept, none for all. `start`, `stop`: s, the rows from `start` to `stop`, both included.
+    """
+
+    tags: tuple[str, ...] = ()
+    start: float | None = None
+    stop: float | None = None
+
+    def of(self, folder: RecordingFolder) -> RecordingFolder:
+        """The recording with these rows alone; its truth is the tags', at all times.
+
+        Raises UnusableInput for a tag that the recording lacks, and where a table of measurements has no row left.
+        """
+        if self == Selection():
+            return folder
+        path = folder.path or folder.name
+        present = {tag: None for name in folder.tables for tag in folder.tables[name]["tag"].unique().sort()}
+        lacking = [tag for tag in self.tags if tag not in present]
+        if lacking:
+            raise UnusableInput(f"{path}: no tag {listed(map(repr, lacking))}; its tags: {listed(present, 10)}")
+        tables = {name: self._rows(table, name in KINDS) for name, table in folder.tables.items()}
+        for name, table in tables.items():
+            of_tags = self._rows(folder.tables[name], False)
+            if of_tags.height and not table.height:
+                where = f"{path}: {name} has no row in the span of time asked for"
+                raise UnusableInput(f"{where}; expected a part of {_span(of_tags)}")
+        rig = folder.rig
+        if self.tags:
+            bodies = {body: tuple(tag for tag in on_it if tag in self.tags) for body, on_it in rig.bodies.items()}
+            rig = replace(rig, tags={tag: known for tag, known in rig.tags.items() if tag in self.tags}, bodies=bodies)
+        return replace(folder, rig=rig, tables={name: table for name, table in tables.items() if table.height})
+
+    def of_estimates(self, tracks: pl.DataFrame) -> pl.DataFrame:
+        """The rows of a table of estimates in these tags and times; raises UnusableInput without any."""
+        if "t_s" not in tracks.columns:
+            return tracks  # what reads them names the column
+        kept = self._rows(tracks, True)
+        if not kept.height:
+            tags = listed(tracks["tag"].cast(pl.String).unique().sort())
+            raise UnusableInput(
+                f"no estimate is of these tags and times; expected tags among {tags} and a part of {_span(tracks)}"
+            )
+        return kept
+
+    def _rows(self, table: pl.DataFrame, in_time: bool) -> pl.DataFrame:
+        """The rows of the tags, and where asked of the time; raises UnusableInput for times that cannot be meant."""
+        if self.tags:
+            table = table.filter(pl.col("tag").cast(pl.String).is_in(list(self.tags)))
+        low, high = (-math.inf if self.start is None else self.start, math.inf if self.stop is None else self.stop)
+        if not in_time or not table.height or (low, high) == (-math.inf, math.inf):
+            return table
+        first = float(table["t_s"].to_numpy().min())
+        for time in (low, high):
+            if 0.0 < time < UNIX_S <= first:
+                raise UnusableInput(
+                    f"the times count from 1970, and {time:.12g} s is long before them; {time:.12g} s after the "
+                    f"start is {first + time:.12g}"
+                )
+        return table.filter(pl.col("t_s").is_between(low, high))
 
 
-def _counted(ids: Iterable[str]) -> str:
-    """Number of ids and the first of them: `6 (A1, A2, A3, A4, …)`."""
-    names = list(ids)
-    shown = ", ".join([*names[:_SHOWN_IDS], *(["…"] if len(names) > _SHOWN_IDS else [])])
-    return f"{len(names)} ({shown})" if names else "0"
+def _span(table: pl.DataFrame) -> str:
+    times = table["t_s"].to_numpy()
+    return f"{times.min():.12g} to {times.max():.12g} s"
 
 
 def read_recordings(paths: Sequence[str | Path], refused: list[str] | None = None) -> list[RecordingFolder]:
@@ -256,26 +290,21 @@ def read_recordings(paths: Sequence[str | Path], refused: list[str] | None = Non
 
 def refuse_same_names(names: Sequence[str]) -> None:
     """Raises UnusableInput for two recordings of one name."""
-    same = _repeated(names)
-    if same is not None:
-        raise UnusableInput(
-            f"two recordings are both named '{names[same]}'; expected different names in rig.toml; rename one"
-        )
+    if same := _repeated(names, names):
+        raise UnusableInput(f"two recordings are both named '{same}'; expected different names in rig.toml; rename one")
 
 
 def refuse_repeated(paths: Sequence[str | Path]) -> None:
     """Raises UnusableInput for an empty list of recordings, and for a folder given twice."""
     if not paths:
         raise UnusableInput("no recording given; expected one or more recording folders")
-    repeated = _repeated([Path(path).resolve() for path in paths])
-    if repeated is not None:
-        raise UnusableInput(f"{paths[repeated]}: is given more than once; expected each recording once; remove one")
+    if same := _repeated([Path(path).resolve() for path in paths], paths):
+        raise UnusableInput(f"{same}: is given more than once; expected each recording once; remove one")
 
 
-def _repeated(items: Sequence[Any]) -> int | None:
-    """Index of the first item that occurs more than once."""
-    counts = Counter(items)
-    return next((k for k, item in enumerate(items) if counts[item] > 1), None)
+def _repeated(keys: Sequence[Any], items: Sequence[Any]) -> str:
+    """The first item whose key occurs more than once; empty without."""
+    return next((str(item) for key, item in zip(keys, items, strict=True) if keys.count(key) > 1), "")
 
 
 def read_recording(path: str | Path, placed: bool = True) -> RecordingFolder:
@@ -284,7 +313,7 @@ def read_recording(path: str | Path, placed: bool = True) -> RecordingFolder:
     `placed`: whether the anchors of ranges must be in rig.toml, as all trackers need them; `survey` places them.
     """
     path = Path(path)
-    rig, files, notices, others = folder_contents(path)
+    rig, files, notices, others = _contents(path)
     tables, ignored = {}, []
     if others:
         own = "check and track read your own kinds by --tracker FILE.py:NAME"
@@ -297,31 +326,22 @@ def read_recording(path: str | Path, placed: bool = True) -> RecordingFolder:
             ignored.append(f"{which} of {file.name} (not part of the format, or not numbers)")
     if ignored:
         notices.append(f"ignored: {'; '.join(ignored)}")
-    _check_common_tag(path, tables)
+    measured = {tag for name in KINDS if name in tables for tag in tables[name]["tag"].unique()}
+    true = {*tables["truth"]["tag"].unique()} if "truth" in tables else measured
+    if measured and not measured & true:
+        raise UnusableInput(
+            f"{path}: no common tag: truth has {listed(map(repr, sorted(true)))}, the measurements have "
+            f"{listed(map(repr, sorted(measured)))}; expected the same ids in both; correct their spelling"
+        )
     notices += (f"{one.where}: {one.message}" for one in check_rows(rig, tables))
     return RecordingFolder(rig.name, path, rig, tables, tuple(notices))
 
 
 def read_truth(path: Path) -> RecordingFolder:
     """The recording in the folder `path` with its truth alone, if it has one; raises as `read_recording`."""
-    rig, files, _, _ = folder_contents(path)
+    rig, files, _, _ = _contents(path)
     truth = {name: read_table(file, name, rig)[0] for name, file in files.items() if name == "truth"}
     return RecordingFolder(rig.name, path, rig, truth)
-
-
-def _check_common_tag(path: Path, tables: dict[str, pl.DataFrame]) -> None:
-    firsts = [tables[name]["tag"][0] for name in KINDS if name in tables]
-    if "truth" not in tables or tables["truth"]["tag"].is_in(firsts).any():
-        return
-    measured = {tag for name in KINDS if name in tables for tag in tables[name]["tag"].unique()}
-    if measured:
-        true = set(tables["truth"]["tag"].unique())
-        if not measured & true:
-            raise UnusableInput(
-                f"{path}: no common tag: truth has {listed(map(repr, sorted(true)))}, the measurements have "
-                f"{listed(map(repr, sorted(measured)))}; "
-                "expected the same ids in both; correct their spelling"
-            )
 
 
 def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "parquet") -> None:
@@ -335,14 +355,18 @@ def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "par
     try:
         if path.exists() and not (path.is_dir() and not any(path.iterdir())):
             what = "folder is not empty" if path.is_dir() else "is a file"
-            raise UnusableInput(
-                f"{path}: {what}, expected a new or empty folder to write to; choose another name or remove it"
-            )
+            raise UnusableInput(f"{path}: {what}, expected a new or empty folder to write to; choose another name")
         path.parent.mkdir(parents=True, exist_ok=True)
         with beside(path, Path.mkdir) as partial:
             (partial / RIG_FILE).write_text(rig_text(folder.rig), encoding="utf-8")
             for name, table in folder.tables.items():
-                _write_table(table, partial / f"{name}.{kind}", kind)
+                file = partial / f"{name}.{kind}"
+                if kind == "csv.gz":
+                    # Without name and time in the gzip header, equal tables give equal bytes.
+                    with file.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as packed:
+                        table.write_csv(cast(IO[bytes], packed))
+                else:
+                    table.write_csv(file) if kind == "csv" else table.write_parquet(file)
             if path.exists():
                 path.rmdir()  # some systems do not rename onto an empty folder
             partial.rename(path)
@@ -353,21 +377,11 @@ def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "par
         ) from error
 
 
-def _write_table(table: pl.DataFrame, file: Path, kind: Kind) -> None:
-    if kind == "parquet":
-        table.write_parquet(file)
-    elif kind == "csv":
-        table.write_csv(file)
-    else:
-        # without name and time in the gzip header, equal tables give equal bytes
-        with file.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as packed:
-            table.write_csv(cast(IO[bytes], packed))
-
-
-def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[str]]:
+def _contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[str]]:
     """The rig, the file of each table, at least one, notices, and the names of other tables.
 
-    Raises UnusableInput for a folder or rig that cannot be read, without a table, and with two files for one.
+    Raises UnusableInput for a folder or rig that cannot be read, without a table, with two files for one table, and for
+    a misspelt name.
     """
     if has_control(str(path)):
         raise UnusableInput(f"{path}: has a control character or bytes that are no UTF-8 in its name; rename it")
@@ -376,46 +390,78 @@ def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[s
     except FileNotFoundError:
         raise UnusableInput(f"{path}: does not exist, expected a recording folder; check the path") from None
     except NotADirectoryError:
-        raise UnusableInput(
-            f"{path}: is a file, expected a recording folder with {RIG_FILE} and tables; give its folder"
-        ) from None
+        raise UnusableInput(f"{path}: is a file, expected a recording folder; give the folder of the file") from None
     except OSError as error:
         raise UnusableInput(f"{path}: folder cannot be read ({error.strerror}); check its permissions") from error
-    if not any(entry == RIG_FILE or entry.partition(".")[0] in table_kinds() for entry in entries):
+    kinds = table_kinds()
+    if not any(entry == RIG_FILE or entry.partition(".")[0] in kinds for entry in entries):
         raise UnusableInput(
             f"{path}: neither {RIG_FILE} nor a table, expected a recording folder, or folders of these; give another"
         )
     rig, notices = read_rig(path / RIG_FILE)
-    files, others = _table_files(path, entries)
-    if not files:
-        another = f"found {listed(others)}; another kind needs --tracker FILE.py:NAME with it (docs/extending.md)"
-        remedy = another if others else "export one"
-        raise UnusableInput(
-            f"{path}: no tables, expected at least one of {', '.join(table_kinds())} as {', '.join(SUFFIXES)}; {remedy}"
-        )
-    return rig, files, [*notices], others
-
-
-def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[str]]:
-    """The file of each table, and the names of other tables; refuses duplicates and misspelt names."""
     files: dict[str, Path] = {}
     others = []
     for entry in entries:
-        stem, _, suffix = entry.partition(".")
-        if stem in table_kinds() and f".{suffix}" in SUFFIXES:
+        stem = entry.partition(".")[0]
+        if entry != RIG_FILE and is_part(entry):
             if stem in files:
-                raise UnusableInput(
-                    f"{path}: both {files[stem].name} and {entry}, expected one file for table {stem}; remove one"
-                )
+                both = f"both {files[stem].name} and {entry}"
+                raise UnusableInput(f"{path}: {both}, expected one file for table {stem}; remove one")
             files[stem] = path / entry
         elif entry.lower().endswith((*SUFFIXES, *_OTHER_DATA)):
             others.append(entry)
     for entry in others:
-        stem = entry.partition(".")[0].lower()
-        near = difflib.get_close_matches(stem, [name for name in table_kinds() if name not in files], 1, 0.75)
-        if near:
-            raise UnusableInput(
-                f"{path / entry}: looks like table {near[0]}, expected {' or '.join(near[0] + s for s in SUFFIXES)}; "
-                "rename or convert it"
-            )
-    return files, [entry for entry in others if entry.lower().endswith(SUFFIXES)]
+        absent = [name for name in kinds if name not in files]
+        if near := difflib.get_close_matches(entry.partition(".")[0].lower(), absent, 1, 0.75):
+            names = " or ".join(near[0] + suffix for suffix in SUFFIXES)
+            raise UnusableInput(f"{path / entry}: looks like table {near[0]}, expected {names}; rename or convert it")
+    others = [entry for entry in others if entry.lower().endswith(SUFFIXES)]
+    if not files:
+        another = f"found {listed(others)}; another kind needs --tracker FILE.py:NAME with it (docs/extending.md)"
+        expected = f"at least one of {', '.join(kinds)} as {', '.join(SUFFIXES)}"
+        raise UnusableInput(f"{path}: no tables, expected {expected}; {another if others else 'export one'}")
+    return rig, files, [*notices], others
+
+
+def is_part(name: str) -> bool:
+    """Whether a file of this name is a rig.toml or a table of a recording."""
+    stem, _, suffix = name.partition(".")
+    return name == RIG_FILE or (stem in table_kinds() and f".{suffix}" in SUFFIXES)
+
+
+def recordings_under(path: Path) -> list[Path]:
+    """The recordings at or below a folder, sorted, also those that cannot be read; itself where there is none."""
+    recordings, seen = list[Path](), set[str]()
+
+    def unread(error: OSError) -> None:
+        recordings.append(Path(error.filename))
+
+    for root, folders, files in os.walk(path, onerror=unread, followlinks=True):
+        real = os.path.realpath(root)
+        if real in seen or any(map(is_part, files)):
+            folders.clear()
+            if real not in seen:
+                recordings.append(Path(root))
+        seen.add(real)
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+    return sorted(recordings) or [path]
+
+
+def archive_of(paths: Sequence[Path], keep_going: bool) -> list[Path] | None:
+    """The recordings in these folders, None where they are few and none is a folder of folders, unless `keep_going`."""
+    groups = [recordings_under(path) for path in paths]
+    recordings = [path for group in groups for path in group]
+    if not keep_going and len(recordings) <= MANY and groups == [[path] for path in paths]:
+        return None
+    refuse_repeated(recordings)
+    return recordings
+
+
+def content_of(path: Path) -> str:
+    """A digest of the rig.toml and the tables of a recording, and of the names beside them; raises OSError."""
+    digest = hashlib.sha256()
+    for entry in sorted(path.iterdir()):
+        digest.update(os.fsencode(entry.name) + b"\0")
+        if entry.is_file() and is_part(entry.name):
+            digest.update(hashlib.sha256(entry.read_bytes()).digest())
+    return digest.hexdigest()

@@ -1,19 +1,13 @@
-"""Content of input files within limits of size: whole files, unpacked gzip data, arrays, TOML and its values."""
+"""Content of input files: bytes, arrays, and TOML by a schema."""
 
 from __future__ import annotations
 
-import difflib
 import errno
-import gzip
 import hashlib
 import io
-import os
 import re
 import reprlib
-import stat
 import tomllib
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -25,35 +19,24 @@ from trackwright.trackers.core.errors import UnusableInput
 T = TypeVar("T")
 
 LARGEST = 2**31
-"""Bytes of the largest file that is read, packed or unpacked: some 50 million rows of a table."""
+"""Bytes of the largest file that is read: some 50 million rows of a table."""
 
 LARGEST_NUMBER = 1e9
 """Size of the largest number in a file of geometry, beyond all coordinates on Earth; squares of squares stay finite."""
 
-_PIECE = 2**20
-_NO_ARRAYS = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
+def file_bytes(path: Path, most: int = -1) -> bytes:
+    """The content of a regular file, or its first `most` bytes.
 
-def file_bytes(path: Path) -> bytes:
-    """The content of a regular file.
-
-    Raises OSError for a file that cannot be read, for a pipe or a device, which may have no end, and beyond `LARGEST`.
+    Raises OSError for a pipe or device, which may have no end, and for a whole file beyond `LARGEST`.
     """
-    with open(path, "rb", opener=_opened) as file:
-        return file.read()
-
-
-def beginning(path: Path, size: int) -> bytes:
-    """The first `size` bytes of a file; raises OSError as `file_bytes`."""
-    with open(path, "rb", opener=_opened) as file:
-        return file.read(size)
-
-
-def _opened(path: str, flags: int) -> int:
-    """Opens a regular file alone: opening a pipe would wait for a writer."""
-    if size_of(path) > LARGEST:
-        raise too_large(Path(path))
-    return os.open(path, flags)
+    status = path.stat()
+    if not (path.is_file() or path.is_dir()):
+        raise OSError(errno.EINVAL, "is a pipe or device, not a file", path)
+    if most < 0 and status.st_size > LARGEST:
+        raise OSError(errno.EFBIG, f"holds more than {LARGEST / 1e9:.1f} GB; split it", path)
+    with path.open("rb") as file:
+        return file.read(most)
 
 
 def identity(path: Path) -> dict[str, str]:
@@ -61,68 +44,25 @@ def identity(path: Path) -> dict[str, str]:
     return {"name": path.name, "fingerprint": hashlib.sha256(path.read_bytes()).hexdigest()[:16]}
 
 
-def size_of(path: Path | str) -> int:
-    """The bytes of a regular file; raises OSError for anything else."""
-    status = os.stat(path)
-    if stat.S_ISDIR(status.st_mode):
-        raise OSError(errno.EISDIR, "is a folder, not a file", path)
-    if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, "is a pipe or device, not a file", path)
-    return status.st_size
-
-
-def too_large(path: Path) -> OSError:
-    """The refusal of a file beyond `LARGEST`."""
-    return OSError(errno.EFBIG, f"holds more than {LARGEST / 1e9:.1f} GB; split it", str(path))
-
-
-def unpacked(path: Path, data: bytes) -> bytes:
-    """Gzip data unpacked; raises OSError beyond `LARGEST`, before more is unpacked, and as `gzip` for broken data."""
-    pieces, size = [], 0
-    with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
-        while piece := packed.read(_PIECE):
-            pieces.append(piece)
-            size += len(piece)
-            if size > LARGEST:
-                raise too_large(path)
-    return b"".join(pieces)
-
-
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of an `.npz` file by name; raises ValueError for other content, and beyond `LARGEST` unpacked."""
+    """The arrays of an `.npz` file by name; raises ValueError for other content."""
     try:
-        with open(path, "rb", opener=_opened) as raw, zipfile.ZipFile(raw) as file:
-            if sum(member.file_size for member in file.infolist()) > LARGEST:
-                raise too_large(path)
-            return {
-                name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(file.read(name)), allow_pickle=False)
-                for name in file.namelist()
-            }
-    except _NO_ARRAYS as error:
+        with np.load(io.BytesIO(file_bytes(path)), allow_pickle=False) as file:
+            return dict(file)
+    except Exception as error:  # Damaged data raise errors of many kinds.
         raise ValueError(str(error)) from error
 
 
 def read_toml(path: Path, expected: str) -> dict[str, Any]:
     """The content of a TOML file in UTF-8; raises UnusableInput, which names what was `expected`."""
-    text = ""
     try:
-        text = file_bytes(path).decode("utf-8-sig")
-        return tomllib.loads(text)
+        return tomllib.loads(file_bytes(path).decode("utf-8-sig"))
     except OSError as error:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); expected {expected}") from error
-    except UnicodeDecodeError as error:
-        raise UnusableInput(
-            f"{path}: is not valid TOML: is not UTF-8 text at byte {error.start}; expected {expected}; save it as UTF-8"
-        ) from error
     except (ValueError, RecursionError) as error:
-        # Numbers of thousands of digits raise ValueError, thousands of brackets RecursionError.
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error).splitlines()[0]
-        twice = _given_twice(text, reason)
-        if twice:
-            raise UnusableInput(f"{path}: {twice}; expected it once; remove one") from error
-        raise UnusableInput(
-            f"{path}: is not valid TOML: {reason}; expected {expected}; write texts in quotes and lists in brackets"
-        ) from error
+        fix = "save it as UTF-8, give each key once, write texts in quotes and lists in brackets"
+        raise UnusableInput(f"{path}: is not valid TOML: {reason}; expected {expected}; {fix}") from error
 
 
 AS_FILE = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
@@ -152,41 +92,27 @@ def read_model(path: Path, model: type[T], expected: str, fix: str = "", version
 
     `expected`: the content in words. `fix`: the usual remedy, which ends a refusal. `version`: the file's `format`.
     """
-    content = read_toml(path, expected)
+    content, fix = read_toml(path, expected), fix or f"{path.name} has {expected}"
     if version is not None and (given := content.pop("format", None)) is not version:
         found = "no format" if given is None else f"format = {given!r}"
-        raise UnusableInput(f"{path}: {found}, expected {expected}; {fix or 'correct it'}")
+        raise UnusableInput(f"{path}: {found}, expected {expected}; {fix}")
     try:
         return TypeAdapter(model).validate_python(content)
     except ValidationError as problem:
         error = problem.errors(include_url=False)[0]
     parts = (f" {part + 1}" if isinstance(part, int) else f".{part}" for part in error["loc"] if part != "[key]")
-    place, kind, value = "".join(parts).removeprefix("."), error["type"], error["input"]
-    ending = f"; {fix or f'{path.name} has {expected}'}"
-    if "error" in error.get("ctx", {}):
-        said = str(error["ctx"]["error"])
-        raise UnusableInput(f"{path}: {place}{' ' if said.startswith('=') else ': ' * bool(place)}{said}{ending}")
-    if kind == "missing":
-        key = str(error["loc"][-1])
-        others = difflib.get_close_matches(key, [str(other) for other in value], 1, 0.7)
-        raise UnusableInput(f"{path}: {place} is missing{f', found {others[0]}' if others else ''}{ending}")
-    unknown = kind in ("unexpected_keyword_argument", "extra_forbidden")
-    expects = error["msg"].replace("Input should be", "expected").replace("a valid dictionary", "a table")
-    expects = re.sub(r" or (an )?(instance|object) .*", "", expects)
-    expects = re.sub(r"\w+ should have (.*) after validation.*", r"expected \1", expects)
-    expects = re.sub(r"an instance of Float\[ndarray, '(.*)'\]", r"numbers of shape \1", expects)
-    value = value.tolist() if isinstance(value, np.ndarray) else value
-    raise UnusableInput(
-        f"{path}: {place} {'is no key of it' if unknown else f'= {reprlib.repr(value)}, {expects}'}{ending}"
-    )
-
-
-def _given_twice(text: str, reason: str) -> str:
-    """The key that a TOML file has twice, in words, by the parser's `reason`; empty for another one."""
-    at = re.search(r"(?:overwrite|twice).*\(at (?:line (\d+)|end of document)", reason)
-    if at is None:
-        return ""
-    lines = text.rstrip().splitlines()
-    number = int(at[1] or len(lines))
-    key = lines[number - 1].partition("=")[0].strip(" \t[]")
-    return f"line {number}: {key} is given twice"
+    place = "".join(parts).removeprefix(".")
+    value = error["input"].tolist() if isinstance(error["input"], np.ndarray) else error["input"]
+    if error["type"] == "missing":
+        words = "is missing"
+    elif error["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        words = "is no key of it"
+    elif "error" in error.get("ctx", {}):
+        words = str(error["ctx"]["error"])
+    else:
+        said = error["msg"].replace("Input should be ", "").replace("a valid dictionary", "a table")
+        said = re.sub(r"\w+ should have (.*) after validation.*", r"\1", said)
+        said = re.sub(r".*Float\[ndarray, '(.*)'\].*", r"numbers of shape \1", said).replace("  ", " ")
+        words = f"= {reprlib.repr(value)}, expected {said}"
+    separator = " " if words.startswith(("=", "is ")) else ": "
+    raise UnusableInput(f"{path}{': ' * bool(place)}{place}{separator}{words}; {fix}")

@@ -21,9 +21,8 @@ from jaxtyping import Float, Int
 from trackwright.trackers.core.data.seconds import seconds
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Point, Rig, angles_in_array
-from trackwright.trackers.recordings.columns import TagRows
+from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 
-QUATERNION = ("qw", "qx", "qy", "qz")
 UNITS = {"m": "m", "rad": "rad", "mps": "m/s", "mps2": "m/s²", "radps": "rad/s"}
 """Unit in words by the ending of a column."""
 
@@ -33,9 +32,8 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*_(m|rad|mps2?|radps)")
 class Sensors(NamedTuple):
     """The sensors of N readings, k each; k is 0 for what a tag measures without anchors and stations.
 
-    `number` (N, k): which of the G anchors or stations. `places` (G, 3) m; `axes` (G, 3, 3): the matrices that take
-    array-frame vectors to world-frame vectors. `antennas` (G, m, 2) m, NaN for those that a station lacks, and
-    `wavelengths` (G,) m: of stations with phases.
+    `number` (N, k): which of the G anchors or stations. `places` (G, 3) m; `axes` (G, 3, 3): array-frame vectors to
+    world-frame ones. `antennas` (G, m, 2) m, NaN for those that a station lacks, and `wavelengths` (G,) m.
     """
 
     number: Int[np.ndarray, "N k"]
@@ -112,20 +110,18 @@ class Kind:
     numbered: bool = False
     attitude: bool = False
     difference: bool = False
-    calibrated: Literal["stations", "anchors", "differences"] | None = None
+    calibrated: Literal["stations", "anchors"] | None = None
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name):
-            raise UnusableInput(f"kind {self.name!r}: expected a name of a table in lower case, such as bistatic")
-        for column in self.columns:
-            if not _NAME.fullmatch(column.name.replace("{n}", "1")):
-                raise UnusableInput(
-                    f"kind {self.name}: column {column.name!r}; expected a name that ends with its unit, "
-                    "_m, _rad, _mps, _mps2 or _radps"
-                )
-        for sensor in self.sensors:
-            if not sensor.startswith(("anchor", "station")):
-                raise UnusableInput(f"kind {self.name}: sensor {sensor!r}; expected anchor, anchor_2 … or station")
+        units = "_m, _rad, _mps, _mps2 or _radps"
+        lower = "a name of a table in lower case, such as bistatic"
+        wrong = [(f"{self.name!r}", lower)] * (not re.fullmatch(r"[a-z][a-z0-9_]*", self.name))
+        names = [column.name for column in self.columns if not _NAME.fullmatch(column.name.replace("{n}", "1"))]
+        wrong += [(f"{self.name}: column {name!r}", f"a name that ends with its unit, {units}") for name in names]
+        others = [sensor for sensor in self.sensors if not sensor.startswith(("anchor", "station"))]
+        wrong += [(f"{self.name}: sensor {name!r}", "anchor, anchor_2 … or station") for name in others]
+        for found, expected in wrong:
+            raise UnusableInput(f"kind {found}: expected {expected}")
 
     @cached_property
     def noun(self) -> str:
@@ -173,24 +169,14 @@ class Kind:
 
         Quality belongs to signals, so that kinds without anchors and stations have none.
         """
-        names = tuple(column.name for column in self.columns)
-        stds = tuple(std_column(name.replace("_{n}", "")) for name in names) if self.numbered else ()
+        names, stds = self.least, tuple[str, ...]()
         if self.numbered:
-            names = tuple(name for name in columns if self.number_of(name) is not None)
-        stds = tuple(map(std_column, names)) + stds
-        ids, optional = ("tag", *self.sensors), stds + (QUATERNION if self.attitude else ())
+            before, after = map(re.escape, self.columns[0].name.split("{n}"))
+            names = tuple(name for name in columns if re.fullmatch(rf"{before}[1-9]\d*{after}", name))
+            stds = (std_column(self.columns[0].name.replace("_{n}", "")),)
+        ids, optional = ("tag", *self.sensors), (*map(std_column, names), *stds, *(QUATERNION * self.attitude))
         quality = (name for name in columns if name and name not in ("t_s", *ids, *names, *optional))
         return Layout(ids, names, optional, tuple(quality) if self.sensors else ())
-
-    def number_of(self, column: str) -> int | None:
-        """The number of a numbered column, None for any other."""
-        before, _, after = self.columns[0].name.partition("{n}")
-        match = re.fullmatch(rf"{before}([1-9]\d*){after}", column) if self.numbered else None
-        return None if match is None else int(match[1])
-
-    def column(self, name: str) -> Column:
-        """The column of this name, or the one that is numbered."""
-        return self.columns[0] if self.numbered else next(column for column in self.columns if column.name == name)
 
     def sizes(self, which: Literal["bias", "large", "floor"], columns: int) -> Float[np.ndarray, " m"]:
         """A size of errors of each of so many columns."""
@@ -200,10 +186,10 @@ class Kind:
         """The readings in the rows of its table, with the anchors or stations of a rig."""
         columns, ids = self.least, tuple(self.places(rig))
         if self.numbered:
-            names = map(self.columns[0].name.format_map, ({"n": n} for n in count(1)))
-            columns = tuple(takewhile(rows.__contains__, names))
-        codes = [rows.codes(column, ids).astype(int) for column in self.sensors]
-        number = np.stack(codes, axis=1) if codes else np.zeros((len(rows.times), 0), int)
+            columns = tuple(takewhile(rows.__contains__, (self.columns[0].name.format(n=n) for n in count(1))))
+        number = np.zeros((len(rows.times), len(self.sensors)), int)
+        for k, sensor in enumerate(self.sensors):
+            number[:, k] = rows.codes(sensor, ids)
         return Measured(self, ids, columns, rows.floats(columns), self.sensors_of(rig, ids, number, len(columns)))
 
     def sensors_of(self, rig: Rig, ids: Sequence[str], number: Int[np.ndarray, "N k"], columns: int) -> Sensors:
@@ -227,14 +213,8 @@ class Kind:
             )
         return values
 
-    def errors(
-        self,
-        values: Float[np.ndarray, "N m"],
-        positions: Float[np.ndarray, "N 3"],
-        sensors: Sensors,
-        columns: Sequence[str],
-    ) -> Float[np.ndarray, "N m"]:
-        """Values of columns less those predicted, angles in [−π, π); less an offset common to a row, if it has one."""
+    def errors(self, values: np.ndarray, positions: np.ndarray, sensors: Sensors, columns: Sequence[str]) -> np.ndarray:
+        """Values (N, m) of columns less those predicted, angles in [−π, π); less an offset common to a row, if any."""
         errors = values - self.values_at(positions, sensors)
         if self.common:
             errors = errors - np.angle(np.nansum(np.exp(1j * errors), axis=1, keepdims=True))
@@ -244,8 +224,8 @@ class Kind:
 class Measured(NamedTuple):
     """The readings of a table, and the anchors or stations of each.
 
-    `ids`: of the anchors or stations that `sensors` numbers; none of those. `columns`: those with values. `values`
-    (N, m): NaN where one is missing.
+    `ids`: of the anchors or stations that `sensors` numbers. `columns`: those with values. `values` (N, m): NaN where
+    one is missing.
     """
 
     kind: Kind
@@ -257,9 +237,7 @@ class Measured(NamedTuple):
     @property
     def usable(self) -> Measured:
         """These readings, NaN also where the kind has positive ones alone and one is not."""
-        positive = np.array([column.positive for column in self.kind.columns])
-        if not positive.any():
-            return self
+        positive = np.broadcast_to([column.positive for column in self.kind.columns], self.values.shape[1:])
         return self._replace(values=np.where(positive & ~(self.values > 0.0), np.nan, self.values))
 
     def of_rows(self, part: np.ndarray) -> Measured:
@@ -289,19 +267,6 @@ def wrapped(differences: Float[np.ndarray, "N m"], columns: Sequence[str]) -> Fl
     return np.where(angles, np.mod(differences + np.pi, 2 * np.pi) - np.pi, differences)
 
 
-def _positions(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
-    return positions
-
-
-def _angles(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
-    return angles_in_array(sensors.in_array(positions))
-
-
-def _range_differences(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
-    first, second = sensors.distances(positions).T
-    return (first - second)[:, None]
-
-
 def _phases(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
     """Phases of spherical waves, up to one offset of all antennas."""
     x, y, z = sensors.in_array(positions)
@@ -315,50 +280,40 @@ def _phases(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
 
 
 _POSITION = (Column("x_m", 0.0, 0.25, 0.05), Column("y_m", 0.0, 0.25, 0.05), Column("z_m", 1.0, 1.0, 0.05))
-_ANGLE = math.radians(5.0), math.radians(12.0), math.radians(2.0)
+_ANGLES = math.radians(5.0), math.radians(12.0), math.radians(2.0)
+_IMU = [f"accel_{axis}_mps2" for axis in "xyz"] + [f"gyro_{axis}_radps" for axis in "xyz"]
 
-KINDS: dict[str, Kind] = {
-    kind.name: kind
-    for kind in (
-        Kind(
-            "ranges",
-            (Column("range_m", bias=1.0, large=0.3, floor=0.05, positive=True),),
-            ("anchor",),
-            lambda positions, sensors: sensors.distances(positions),
-            averaged=True,
-            calibrated="anchors",
-        ),
-        Kind(
-            "tdoa",
-            (Column("range_difference_m", bias=0.5, large=0.3, floor=0.05),),
-            ("anchor", "anchor_2"),
-            _range_differences,
-            averaged=True,
-            difference=True,
-            calibrated="differences",
-        ),
-        Kind("fixes", _POSITION, (), _positions, averaged=True),
-        Kind(
-            "bearings",
-            (Column("azimuth_rad", *_ANGLE), Column("elevation_rad", *_ANGLE, bound=math.pi / 2)),
-            ("station",),
-            _angles,
-            averaged=True,
-            calibrated="stations",
-        ),
-        Kind("phases", (Column("phase_{n}_rad", 0.5, 0.8, 0.1),), ("station",), _phases, common=True, numbered=True),
-        Kind(
-            "imu",
-            tuple(
-                Column(f"{what}_{axis}_{unit}")
-                for what, unit in (("accel", "mps2"), ("gyro", "radps"))
-                for axis in "xyz"
-            ),
-            attitude=True,
-        ),
-        Kind("odometry", (Column("speed_mps", bound=10.0), Column("yaw_rate_radps", bound=10.0))),
-    )
-}
+_KINDS = (
+    Kind(
+        "ranges",
+        (Column("range_m", bias=1.0, large=0.3, floor=0.05, positive=True),),
+        ("anchor",),
+        lambda positions, sensors: sensors.distances(positions),
+        averaged=True,
+        calibrated="anchors",
+    ),
+    Kind(
+        "tdoa",
+        (Column("range_difference_m", bias=0.5, large=0.3, floor=0.05),),
+        ("anchor", "anchor_2"),
+        lambda positions, sensors: -np.diff(sensors.distances(positions), axis=1),
+        averaged=True,
+        difference=True,
+    ),
+    Kind("fixes", _POSITION, (), lambda positions, sensors: positions, averaged=True),
+    Kind(
+        "bearings",
+        (Column("azimuth_rad", *_ANGLES), Column("elevation_rad", *_ANGLES, bound=math.pi / 2)),
+        ("station",),
+        lambda positions, sensors: angles_in_array(sensors.in_array(positions)),
+        averaged=True,
+        calibrated="stations",
+    ),
+    Kind("phases", (Column("phase_{n}_rad", 0.5, 0.8, 0.1),), ("station",), _phases, common=True, numbered=True),
+    Kind("imu", tuple(map(Column, _IMU)), attitude=True),
+    Kind("odometry", (Column("speed_mps", bound=10.0), Column("yaw_rate_radps", bound=10.0))),
+)
+KINDS: dict[str, Kind] = {kind.name: kind for kind in _KINDS}
 """The kinds of measurement by name of their table, in the order in which they are listed."""
 
 TRUTH = Kind("truth", _POSITION, attitude=True)

@@ -1,11 +1,13 @@
 """A tracker by name that runs on recording folders: the catalogue's entry with noise levels and settings.
 
 Recordings in map coordinates are tracked about an origin nearby: single precision resolves 5e6 m to half a metre.
+Readings that a source repeats until it has a new one are used once; the rounding of readings is part of their variance.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,9 +18,17 @@ from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
 from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings.checks.readings import (
+    LEAST_PAIRS,
+    MANY,
+    Readings,
+    changes,
+    quantisation_step,
+    readings,
+    repeated_share,
+)
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
-from trackwright.trackers.recordings.kinds import table_kinds
-from trackwright.trackers.recordings.reading_grids import counted_once, with_rounding
+from trackwright.trackers.recordings.kinds import KINDS, distinct, duplicates_line, std_column, table_kinds
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec, faults_named
 from trackwright.trackers.recordings.tracks import Tracks, track
 from trackwright.trackers.recordings.trajectories import Trajectories
@@ -28,8 +38,11 @@ Recordings = RecordingFolder | Sequence[RecordingFolder]
 FAR_M = 1000.0
 """Distance of x or y from zero, m, from which on coordinates are a map's if it is also larger than the site."""
 
-FEW_GAPS = 3
-"""Long gaps between epochs that make a rule."""
+HELD = 0.5
+"""Least share of the repeats that chance does not explain where a source repeats its readings."""
+
+CLEAR = 1.5
+"""Least size of a clear change, in steps."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -88,33 +101,25 @@ class NamedTracker:
         Values that a source repeats are used once: `TrackerBatch.notices`. Recordings in map coordinates are about an
         origin nearby, `trajectory.folder.origin`; estimates of `run` are not.
         """
-        groups = self._batches(recordings)
-        return [replace(g, tracker=self._finished(g.tracker), notices=(*g.notices, *rare_epochs(g))) for g in groups]
-
-    def _batches(self, recordings: Recordings) -> list[TrackerBatch]:
-        """The batches with this tracker's numbers as they are, not smoothed."""
         folders = folder_list(recordings)
         made_for, groups = self.made_for
         # Rows of long recordings take longer to make than to filter.
         if len(folders) != len(made_for) or any(a is not b for a, b in zip(folders, made_for, strict=True)):
             groups = _batches(self.spec, folders, self.name, self.free_height, self.side)
-        return [replace(group, tracker=with_values(group.tracker, self.values, self.source)) for group in groups]
+        return [replace(g, tracker=self._finished(with_values(g.tracker, self.values, self.source))) for g in groups]
 
     def only_batch(self, recordings: Recordings) -> TrackerBatch:
         """All trajectories of the recordings for one and the same tracker, as a fit needs them.
 
         Raises UnusableInput where they need several: those have no numbers in common.
         """
-        groups = self._batches(recordings)
+        groups = self.batches(recordings)
         if len(groups) != 1:
-            raise self._several(len(groups))
-        return replace(groups[0], tracker=self._finished(groups[0].tracker))
-
-    def _several(self, count: int) -> UnusableInput:
-        return UnusableInput(
-            f"the recordings need {count} different '{self.name}' trackers (other geometry, or heights known "
-            "for some tags only); expected one; take them apart, or estimate all heights (free_height)"
-        )
+            raise UnusableInput(
+                f"the recordings need {len(groups)} different '{self.name}' trackers (other geometry, or heights known "
+                "for some tags only); expected one; take them apart, or estimate all heights (free_height)"
+            )
+        return groups[0]
 
     @property
     def tunables(self) -> dict[str, AbstractTunable]:
@@ -145,9 +150,8 @@ class NamedTracker:
             try:
                 tracker = Smoothed(tracker, self.lag)
             except TypeError as error:
-                raise UnusableInput(
-                    f"tracker '{self.name}' cannot be smoothed: {error}; run it without smoothing"
-                ) from error
+                fix = "run it without smoothing"
+                raise UnusableInput(f"tracker '{self.name}' cannot be smoothed: {error}; {fix}") from error
         finished: AbstractTracker = tracker
         return finished
 
@@ -173,22 +177,6 @@ def _batches(
     return [replace(groups[0], notices=tuple(notices)), *groups[1:]] if groups else []
 
 
-def rare_epochs(batch: TrackerBatch) -> list[str]:
-    """A line where at least half of a track's time lies in gaps of the rows beyond the tracker's `max_gap`."""
-    limit = float(batch.tracker.track_loss.max_gap.value) if hasattr(batch.tracker, "track_loss") else np.inf
-    lines = []
-    for trajectory in batch.trajectories:
-        gaps = np.diff(trajectory.recording.times)
-        long = gaps[gaps > limit]
-        if len(long) >= FEW_GAPS and long.sum() > gaps.sum() / 2:
-            lines.append(
-                f"{trajectory.folder.name}: tag {trajectory.tag}: epochs are typically {np.median(long):.3g} s apart, "
-                f"more than track_loss.max_gap ({limit:g} s), so that each starts a new track; where the tag "
-                f"moves little in between, --set track_loss.max_gap={3 * np.median(long):.3g} keeps one"
-            )
-    return lines
-
-
 def folder_list(recordings: Recordings) -> list[RecordingFolder]:
     """One recording folder or several as a list; raises UnusableInput for anything else, and for two of one name."""
     arrays = "recordings in arrays are run by a tracker of arrays, as `range_tracker(4).run`"
@@ -197,12 +185,91 @@ def folder_list(recordings: Recordings) -> list[RecordingFolder]:
     return folders
 
 
+def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[RecordingFolder, list[str]]:
+    """The recording without duplicate rows, and without the values that a source only repeats in the tables of `names`.
+
+    Also a line for each table with repeats, and with duplicates that the folder's notices do not count. Rows of
+    repeated values stay, without a value, and so do all in a recording with an interval of averages, zero included.
+    """
+    tables, lines = dict[str, pl.DataFrame](), list[str]()
+    for name in (n for n in KINDS if n in folder.tables):
+        kind, rows = KINDS[name], distinct(folder.tables[name], KINDS[name])
+        own = folder
+        if duplicates := folder.tables[name].height - rows.height:
+            own, line = replace(folder, tables={name: rows}), duplicates_line(name, duplicates)
+            tables[name] = rows
+            lines += [f"{folder.name}: {line}"] * (line not in folder.notices)
+        if folder.average_s is not None or not kind.averaged or name not in names:
+            continue
+        if source_repeats(readings(own, name, errors=False)):
+            columns = kind.layout(rows.columns)
+            values = [pl.col(column) for column in columns.values]
+            same = pl.all_horizontal(x.eq_missing(x.forward_fill().shift().over(columns.ids)) for x in values)
+            held = rows.select(same & pl.any_horizontal(x.is_not_null() for x in values)).to_series()
+            tables[name] = rows.with_columns(pl.when(~held).then(x) for x in values)
+            lines.append(
+                f"{folder.name}: {name}: {held.sum()} of {rows.height} rows repeat the value before of the same "
+                f"{' and '.join(columns.ids)}, more than by chance; each value is used once (every row: --average 0)"
+            )
+    return (replace(folder, tables={**folder.tables, **tables}) if tables else folder), lines
+
+
+def source_repeats(read: Readings) -> bool:
+    """Whether readings repeat the one before so often that most repeats are no new readings."""
+    if not repeated_share(read) >= MANY:
+        return False
+    follows, moved = changes(read)
+    steps = np.array([quantisation_step(read, k) or 0.0 for k in range(len(read.columns))])
+    clear = (np.abs(moved) > CLEAR * steps).any(axis=1)
+    # A change follows the one before where the rows of both have a predecessor in one stream.
+    after = np.flatnonzero(follows[1:] & follows[:-1] & clear[:-1]) + 1
+    if len(after) < LEAST_PAIRS:
+        return False
+    share = float(np.mean((moved[after] == 0.0).all(axis=1)))
+    # All columns repeat at most as often as each of them.
+    chance = min((chance_of_repeat(moved[after, k], step) for k, step in enumerate(steps)), default=0.0)
+    return share >= MANY and share - chance > HELD * share
+
+
+def chance_of_repeat(moved: np.ndarray, step: float) -> float:
+    """A bound of the probability that a change (n,) in steps of `step` is zero by chance; 0 without steps.
+
+    The changes follow a clear one. Of a log-concave distribution of the change, in steps, P(0) ≤ P(1)²/P(2).
+    """
+    if step == 0.0:
+        return 0.0
+    one, two = (np.count_nonzero(np.round(np.abs(moved) / step) == k) / 2 for k in (1, 2))
+    return one**2 / max(two, 1.0) / len(moved)
+
+
+def with_rounding(folder: RecordingFolder, names: Collection[str]) -> RecordingFolder:
+    """The recording with the standard deviation of their rounding, step/√12, for readings that report none.
+
+    Tables of these names without standard deviations. Averages have the step of the readings averaged.
+    """
+    tables = dict[str, pl.DataFrame]()
+    for name in (n for n in KINDS if n in folder.tables and n in names):
+        kind, table = KINDS[name], folder.tables[name]
+        if kind.averaged and not any(std_column(column) in table.columns for column in kind.least):
+            read = readings(folder.unaveraged or folder, name, errors=False)
+            steps = {column: quantisation_step(read, k) for k, column in enumerate(read.columns)}
+            spreads = {std_column(c): pl.lit(step / math.sqrt(12.0)) for c, step in steps.items() if step is not None}
+            if spreads:
+                tables[name] = table.with_columns(**spreads)
+    return replace(folder, tables={**folder.tables, **tables}) if tables else folder
+
+
 def near_origin(folder: RecordingFolder) -> RecordingFolder:
     """The recording about an origin of whole metres in the middle of its site, or as it is if that is near zero.
 
     The site is the rig's, or, where this has no geometry, of most fixes. Heights are unchanged.
     """
-    points = _site(folder)
+    rig = folder.rig
+    corners = [x for x in (rig.path_knots, rig.outline) if x is not None]
+    points = np.concatenate([np.array([p[:2] for p in rig.places()]).reshape(-1, 2), *corners, rig.all_walls()[:, :2]])
+    if not len(points) and "fixes" in folder.tables:
+        known = folder.tables["fixes"].select("x_m", "y_m").drop_nulls().to_numpy()
+        points = np.quantile(known, [0.1, 0.9], axis=0) if len(known) else points
     if len(points):
         points = points[np.abs(points - np.median(points, axis=0)).max(axis=1) < ELSEWHERE_M]
     if not len(points):
@@ -215,18 +282,7 @@ def near_origin(folder: RecordingFolder) -> RecordingFolder:
     here = {"x_m": pl.col("x_m") - x, "y_m": pl.col("y_m") - y}
     kinds = table_kinds()
     tables = {name: t.with_columns(**here) if kinds[name].position else t for name, t in folder.tables.items()}
-    return replace(folder, rig=_moved(folder.rig, middle), tables=tables, origin=(x, y))
-
-
-def _site(folder: RecordingFolder) -> np.ndarray:
-    """Points (n, 2), m, on and between which the tags are; none where neither the rig nor fixes tell."""
-    rig = folder.rig
-    corners = [x for x in (rig.path_knots, rig.outline) if x is not None]
-    points = np.concatenate([np.array([p[:2] for p in rig.places()]).reshape(-1, 2), *corners, rig.all_walls()[:, :2]])
-    if len(points) or "fixes" not in folder.tables:
-        return points
-    known = folder.tables["fixes"].select("x_m", "y_m").drop_nulls().to_numpy()
-    return np.quantile(known, [0.1, 0.9], axis=0) if len(known) else points
+    return replace(folder, rig=_moved(rig, middle), tables=tables, origin=(x, y))
 
 
 def _moved(rig: Rig, origin: np.ndarray) -> Rig:

@@ -88,12 +88,6 @@ class _Floor(_Table):
     walls_m: Annotated[Walls, Field(min_length=1)] | None = None
     outline_m: Annotated[Points, Field(min_length=3)] | None = None
 
-    @model_validator(mode="after")
-    def _any(self) -> _Floor:
-        if self.walls_m is None and self.outline_m is None:
-            raise ValueError("has neither walls_m nor outline_m, lists of [x1, y1, x2, y2] and of [x, y] in metres")
-        return self
-
 
 def _plain(name: str) -> str:
     if has_control(name):
@@ -118,12 +112,12 @@ class _RigFile(_Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> _RigFile:
-        carried = [(body, tag) for body, on_it in self.bodies.items() for tag in on_it.tags]
-        for k, (body, tag) in enumerate(carried):
+        carried = [tag for body in self.bodies.values() for tag in body.tags]
+        for tag in carried:
             if tag not in self.tags or self.tags[tag].offset_m is None:
-                raise ValueError(f"bodies.{body}.tags names {tag!r}, which has no offset_m under [tags.{tag}]; add it")
-            if any(tag == other for _, other in carried[:k]):
-                raise ValueError(f"bodies.{body}.tags names {tag!r} again; expected each tag on one body, once")
+                raise ValueError(f"bodies: tag {tag!r} has no offset_m under [tags.{tag}]; add it")
+            if carried.count(tag) > 1:
+                raise ValueError(f"bodies: tag {tag!r} is named again; expected each tag on one body, once")
         return self
 
 
@@ -134,9 +128,16 @@ def read_rig(path: Path) -> tuple[Rig, tuple[str, ...]]:
             f"{path}: missing, expected beside the tables, with `format = {FORMAT}`, a name and the geometry; add it"
         )
     file = read_model(path, _RigFile, f"the geometry of a recording, format = {FORMAT}", "correct it", FORMAT)
-    parts: dict[str, Mapping[str, _Table]] = {"stations": file.stations, "tags": file.tags, "bodies": file.bodies}
     tables: dict[str, _Table | None] = {"the top level": file, "[path]": file.path, "[floor]": file.floor}
-    tables |= {f"[{kind}.{name}]": table for kind, part in parts.items() for name, table in part.items()}
+    for kind in ("stations", "tags", "bodies"):
+        tables |= {f"[{kind}.{name}]": table for name, table in getattr(file, kind).items()}
+    notices = []
+    for where, table in ((where, table) for where, table in tables.items() if table is not None):
+        for key in table.model_extra or ():
+            absent = [name for name in type(table).model_fields if name not in table.model_fields_set]
+            if near := difflib.get_close_matches(key.lower(), absent, 1, 0.7):
+                raise UnusableInput(f"{path}: unknown key {key!r} in {where}, expected {near[0]}; rename it")
+            notices.append(f"{RIG_FILE}: key {key!r} in {where} is not part of the format and was ignored")
     rig = Rig(
         name=file.name or path.resolve().parent.name,
         anchors=file.anchors,
@@ -150,17 +151,7 @@ def read_rig(path: Path) -> tuple[Rig, tuple[str, ...]]:
         licence=file.licence,
         source=file.source,
     )
-    unknown = ((key, where, table) for where, table in tables.items() if table for key in table.model_extra or ())
-    return rig, tuple(_notice(path, *found) for found in unknown)
-
-
-def _notice(path: Path, key: str, where: str, table: BaseModel) -> str:
-    """The notice of an unknown key; raises UnusableInput for one that looks misspelt."""
-    absent = [name for name in type(table).model_fields if name not in table.model_fields_set]
-    near = difflib.get_close_matches(key.lower(), absent, 1, 0.7)
-    if near:
-        raise UnusableInput(f"{path}: unknown key {key!r} in {where}, expected {near[0]}; rename it")
-    return f"{RIG_FILE}: key {key!r} in {where} is not part of the format and was ignored"
+    return rig, tuple(notices)
 
 
 def mounted(yaw: float, pitch: float, roll: float) -> np.ndarray:
@@ -180,33 +171,30 @@ def mounted(yaw: float, pitch: float, roll: float) -> np.ndarray:
 
 def rig_text(rig: Rig) -> str:
     """The content of a `rig.toml` that `read_rig` reads back to the same rig; each vector is on one line."""
-    parts = [_entries({"format": FORMAT, "name": rig.name})]
-    parts[0] += _entries({key: getattr(rig, key) or None for key in ("about", "licence", "source")})
-    if rig.anchors:
-        parts.append("[anchors]\n" + "".join(f"{_text(key)} = {_value(x)}\n" for key, x in rig.anchors.items()))
-    for key, station in rig.stations.items():
-        values = {"position_m": station.position, "rotation_wxyz": station.rotation}
+    texts = {key: getattr(rig, key) or None for key in ("about", "licence", "source")}
+    tables: dict[str, Mapping[str, Any]] = {"": {"format": FORMAT, "name": rig.name} | texts}
+    tables["anchors"] = {_text(name): place for name, place in rig.anchors.items()}
+    for name, station in rig.stations.items():
         array = {"wavelength_m": station.wavelength, "antennas_m": station.antennas}
-        parts.append(f"[stations.{_text(key)}]\n{_entries(values | array)}")
-    for key, tag in rig.tags.items():
-        parts.append(f"[tags.{_text(key)}]\n{_entries({'height_m': tag.height, 'offset_m': tag.offset})}")
-    for key, names in rig.bodies.items():
-        parts.append(f"[bodies.{_text(key)}]\ntags = [{', '.join(map(_text, names))}]\n")
-    if rig.path_knots is not None:
-        parts.append("[path]\n" + _entries({"knots_m": rig.path_knots}))
-    if rig.walls is not None or rig.outline is not None:
-        parts.append("[floor]\n" + _entries({"walls_m": rig.walls, "outline_m": rig.outline}))
+        pose = {"position_m": station.position, "rotation_wxyz": station.rotation}
+        tables[f"stations.{_text(name)}"] = pose | array
+    for name, tag in rig.tags.items():
+        tables[f"tags.{_text(name)}"] = {"height_m": tag.height, "offset_m": tag.offset}
+    tables |= {f"bodies.{_text(name)}": {"tags": names} for name, names in rig.bodies.items()}
+    tables |= {"path": {"knots_m": rig.path_knots}, "floor": {"walls_m": rig.walls, "outline_m": rig.outline}}
+    parts = []
+    for name, values in tables.items():
+        lines = [f"{key} = {_value(value)}\n" for key, value in values.items() if value is not None]
+        if lines or name.startswith("tags."):
+            parts.append(f"[{name}]\n" * bool(name) + "".join(lines))
     return "\n".join(parts)
-
-
-def _entries(values: Mapping[str, Any]) -> str:
-    """A line of TOML for each value that is not None."""
-    return "".join(f"{key} = {_value(value)}\n" for key, value in values.items() if value is not None)
 
 
 def _value(value: Any) -> str:
     if isinstance(value, str):
         return _text(value)
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_text, value))}]"
     return str(value) if isinstance(value, int) else json.dumps(np.asarray(value, float).tolist())
 
 

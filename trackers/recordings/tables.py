@@ -1,11 +1,15 @@
-"""The reader of the tables of a recording folder, which checks and converts their columns."""
+"""The tables of recording folders: a CSV or Parquet file as raw columns with their lines, checked and converted."""
 
 from __future__ import annotations
 
+import csv
 import difflib
+import gzip
+import io
 import re
-from collections.abc import Iterable
-from functools import partial
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +17,12 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.kinds import QUATERNION, Kind, Layout, table_kinds, unit_of
-from trackwright.trackers.recordings.table_file import TableFile, first_row, read_table_file, remedy
+from trackwright.trackers.recordings.columns import QUATERNION
+from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.kinds import Kind, Layout, table_kinds, unit_of
+
+SUFFIXES = (".csv", ".csv.gz", ".parquet")
+MARK = b"PAR1"
 
 JITTER_S, JITTER = 1.0, 5.0
 """Rows count as late, and are sorted, up to this many s, or median steps of their sensor and tag."""
@@ -25,9 +33,132 @@ LEAST_AGAIN = 5
 WRAPS = {2.0**32 * 1e-6: "2³² µs (4294.967 s)", 2.0**32 * 1e-3: "2³² ms (4294967.296 s)"}
 """Periods of counters of 32 bits, s, in words."""
 
-_CONTROL = r"\p{Cc}"
 _LARGEST = 1e15  # its square is within the range of a 32-bit float
 _LATEST = 1e20  # beyond nanoseconds since 1970
+
+_FOUND = {
+    r"\d{4}-.*": "it looks like a date, which `trackwright import` reads by 't_s={column} in iso'",
+    r"\d{1,4}([-/.])(?:\d{1,2}|[A-Za-z]{3})\1\d{1,4}(?:[T ].*)?": (
+        "it looks like a date, which `trackwright import` reads by 't_s={column} in dd/mm/yyyy', or its own order"
+    ),
+    r"\d{1,2}:\d\d(?::.*)?": (
+        "it looks like a time of day, which `trackwright import` reads by 't_s={column} in hh:mm:ss'"
+    ),
+    r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?": "it looks like a decimal comma, which `trackwright import --decimal ,` reads",
+    r"[-+]?\d{1,3}([,.' ])\d{3}(?:\1\d{3}|[.,]\d)\d*.*|[-+]?\d{1,3}[' ]\d{3}": (
+        "thousands are grouped in it, which `trackwright import --thousands {mark!r}` reads"
+    ),
+    r"[^ \d]*": "leave a missing cell empty, or name its mark: `trackwright import --missing={text}`",
+}
+"""What to do about a text where a number is expected, by its form."""
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """The columns of a file before any check: text of CSV, typed of Parquet.
+
+    `lines`: the line number of each row, None for Parquet. `decimal`, `thousands`: the marks in numbers that are text.
+    """
+
+    path: Path
+    frame: pl.DataFrame
+    lines: Sequence[int] | pl.Series | None = None
+    decimal: str = "."
+    thousands: str = ""
+
+    def location(self, row: int, column: str) -> str:
+        """File, row and column in words, for messages; `row` is counted from 0."""
+        line = "" if self.lines is None else f" (line {self.lines[row]})"
+        return f"{self.path}: row {row + 1}{line}, column {column}"
+
+    def refuse(self, wrong: pl.Series, column: str, expected: str) -> None:
+        """Raises UnusableInput with the first of the wrong rows and its cell, if there is one."""
+        if wrong.fill_null(False).any():
+            row = first_row(wrong.fill_null(False))
+            cell = self.frame[column][row]
+            found = f"{cell[:40]!r}" if isinstance(cell, str) else "empty" if cell is None else f"{cell:g}"
+            raise UnusableInput(f"{self.location(row, column)}: {found}, expected {expected}")
+
+
+def first_row(rows: pl.Series) -> int:
+    """The number of the first row that is true, of which there is one."""
+    row = rows.arg_max()
+    assert row is not None
+    return int(row)
+
+
+def remedy(text: str, column: str) -> str:
+    """What to do about a text where a number is expected."""
+    words = next((words for form, words in _FOUND.items() if re.fullmatch(form, text)), "leave a missing cell empty")
+    return words.format(column=column, text=text[:20], mark=text.lstrip("+-0123456789")[:1])
+
+
+def read_table_file(path: Path) -> TableFile:
+    """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file."""
+    file = TableFile(path, read_parquet(path)) if path.name.endswith(".parquet") else _csv(path)
+    if file.frame.height == 0:
+        raise UnusableInput(f"{path}: the table has no rows, expected at least one; remove the file if there are none")
+    return file
+
+
+def _content(path: Path) -> bytes:
+    try:
+        data = file_bytes(path)
+        return gzip.decompress(data) if path.name.endswith(".gz") else data
+    except OSError as error:
+        reason = error.strerror or f"not valid gzip data: {error}"
+        raise UnusableInput(f"{path}: cannot be read ({reason}); check the file and its permissions") from error
+    except (EOFError, zlib.error) as error:
+        raise UnusableInput(f"{path}: the gzip data are damaged or end too early ({error}); copy it again") from error
+
+
+def read_parquet(path: Path) -> pl.DataFrame:
+    """The columns of a Parquet file; raises UnusableInput for a broken file."""
+    data = _content(path)
+    if not data.startswith(MARK) or not data.endswith(MARK):
+        raise UnusableInput(f"{path}: is not a complete Parquet file (start or end mark missing); write it again")
+    try:
+        return pl.read_parquet(io.BytesIO(data))
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
+        raise UnusableInput(f"{path}: is a broken Parquet file ({str(error)[:100]}); write it again") from error
+
+
+def _csv(path: Path) -> TableFile:
+    """The cells of a CSV file as text; blank lines are left out."""
+    data = _content(path)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        fix = "export it again as CSV in UTF-8"
+        raise UnusableInput(f"{path}: is not UTF-8 text at byte {error.start}, expected CSV text; {fix}") from error
+    if "\0" in text:
+        raise UnusableInput(f"{path}: holds binary data, expected CSV text in UTF-8; export it again as CSV")
+    lines = pl.DataFrame({"text": text.replace("\r\n", "\n").replace("\r", "\n").split("\n")}).with_row_index("line", 1)
+    lines = lines.filter(pl.col("text").str.strip_chars() != "")
+    if not lines.height:
+        raise UnusableInput(f"{path}: the file is empty, expected a header line and rows; remove it if there are none")
+    head = lines["text"][0]
+    names = [name.strip() for name in next(csv.reader([head]))]
+    if len(names) == 1 and (head.startswith("#") or any(mark in head for mark in ";\t")):
+        raise UnusableInput(f"{path}: line 1 is {head[:60]!r}, expected names separated by commas; export it again")
+    if len(set(names)) < len(names):
+        twice = min(name for name in names if names.count(name) > 1)
+        raise UnusableInput(f"{path}: column {twice!r} is duplicated in line 1, expected once; remove one")
+    rows = lines[1:]
+    unquoted = rows["text"].str.replace_all('"[^"]*"', "")
+    cells = unquoted.str.count_matches(",", literal=True) + 1
+    wrong = (cells != len(names)) | unquoted.str.contains('"', literal=True)
+    if wrong.any():
+        row = first_row(wrong)
+        found = "a quote that is not closed" if '"' in unquoted[row] else f"{cells[row]} cells"
+        raise UnusableInput(
+            f"{path}: row {row + 1} (line {rows['line'][row]}) has {found}, expected {len(names)} cells as in the "
+            "header; look for a truncated file or decimal commas"
+        )
+    schema = dict.fromkeys(names, pl.String)
+    body = "\n".join(rows["text"]).encode()
+    frame = pl.read_csv(body, has_header=False, schema=schema) if rows.height else pl.DataFrame(schema=schema)
+    return TableFile(path, frame, rows["line"])
 
 
 def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl.DataFrame, list[str], list[str]]:
@@ -38,63 +169,57 @@ def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl
     """
     file, kind = read_table_file(path), table_kinds()[name]
     expected, ignored = _columns(file, kind)
-    ids = [_ids(file, column) for column in expected.ids]
     times = _numbers(file, "t_s", _LATEST)
-    if times.has_nulls():
-        raise UnusableInput(
-            f"{file.location(first_row(times.is_null()), 't_s')}: no time, expected seconds; remove the row"
-        )
-    numbers = [_numbers(file, c, _LARGEST) for c in (*expected.values, *expected.optional) if c in file.frame.columns]
-    quality = [column for column in map(partial(_quality, file), expected.quality) if column is not None]
-    ignored = [name for name in ignored if name not in {column.name for column in quality}]
-    frame = pl.DataFrame([times, *ids, *numbers, *quality])
+    file.refuse(times.is_null(), "t_s", "seconds; remove the row")
+    present = [column for column in (*expected.values, *expected.optional) if column in file.frame.columns]
+    columns = [times, *(_ids(file, column) for column in expected.ids)]
+    columns += [_numbers(file, column, _LARGEST) for column in present]
+    for column in expected.quality:
+        try:
+            columns.append(_numbers(file, column, _LARGEST))
+            ignored.remove(column)
+        except UnusableInput:
+            pass  # it says something else
+    frame, notices = pl.DataFrame(columns), list[str]()
     check_stds(file, frame, [column for column in expected.optional if column not in QUATERNION])
-    _check_quaternions(file, frame)
+    if "qw" in frame.columns:
+        zero = frame.select(pl.sum_horizontal(pl.col(QUATERNION).abs(), ignore_nulls=False) == 0).to_series()
+        file.refuse(zero, "qw", "a unit quaternion, not zero; leave its four cells empty if the attitude is unknown")
     if placed:
         _check_sensors(file, frame, kind, rig)
-    notices = []
     for column in (column.name for column in kind.columns if column.positive):
-        zero = int((frame[column] == 0).sum())
-        if zero:
-            text = f"{name}: {name} of 0 {unit_of(column)}: {zero}; not used: leave the cell of a missing reading empty"
-            notices.append(text)
+        if zeros := int((frame[column] == 0).sum()):
+            words = f"{name} of 0 {unit_of(column)}: {zeros}; not used: leave the cell of a missing reading empty"
+            notices.append(f"{name}: {words}")
             frame = frame.with_columns(pl.when(pl.col(column) != 0).then(column).alias(column))
     unwrapped, wraps = unwrapped_times(frame["t_s"].to_numpy())
-    notices += [f"{name}: {wrap}" for wrap in wraps]
-    frame = frame.with_columns(t_s=unwrapped) if wraps else frame
-    unordered = int((frame["t_s"].diff() < 0).sum())
-    if unordered:
-        _refuse_restart(file, frame.drop(column.name for column in quality), expected.ids)
-        most = -float(frame["t_s"].diff().min())  # type: ignore[arg-type]
-        count = f"{unordered} of {frame.height}, by {most:.6g} s at most"
+    if wraps:
+        notices += [f"{name}: {wrap}" for wrap in wraps]
+        frame = frame.with_columns(t_s=unwrapped)
+    steps = frame["t_s"].diff()
+    if unordered := int((steps < 0).sum()):
+        _refuse_restart(file, frame.drop(set(expected.quality) & {*frame.columns}), expected.ids)
+        count = f"{unordered} of {frame.height}, by {-float(steps.min()):.6g} s at most"  # type: ignore[arg-type]
         notices.append(f"{name}: rows earlier than the previous row: {count}; sorted")
         frame = frame.sort("t_s", maintain_order=True)
     return frame, notices, ignored
 
 
 def _columns(file: TableFile, kind: Kind) -> tuple[Layout, list[str]]:
+    """The columns of the format, and the names of others; refuses missing and misspelt ones."""
     present = file.frame.columns
     expected = kind.layout(present)
     required = ("t_s", *expected.ids, *(expected.values or kind.least))
-    known = {*required, *expected.optional}
-    unknown = [c for c in present if c not in known]
+    unknown = [column for column in present if column not in (*required, *expected.optional)]
     for column in required:
         if column not in present:
             near = difflib.get_close_matches(column, unknown, 1, 0.5)
             there = ", ".join(repr(c[:30]) for c in present[:14])
             instead = f"rename {near[0][:30]!r} if it is that column (check the unit)" if near else f"found {there}"
             raise UnusableInput(f"{file.path}: no column {column}, expected {', '.join(required)}; {instead}")
-    numbered = sorted(number for number in map(kind.number_of, expected.values) if number is not None)
-    if numbered != list(range(1, len(numbered) + 1)):
-        first = kind.columns[0].name.format
-        raise UnusableInput(
-            f"{file.path}: columns are numbered {numbered}, expected {first(n=1)} … {first(n='N')} without gaps; "
-            "leave the column of an unused antenna empty"
-        )
-    quaternion = [c for c in QUATERNION if c in present]
-    if kind.attitude and 0 < len(quaternion) < 4:
-        raise UnusableInput(f"{file.path}: columns {', '.join(quaternion)}, expected all of qw, qx, qy, qz or none")
-    absent = [c for c in expected.optional if c not in present]
+    if kind.attitude and 0 < len({*QUATERNION} & {*present}) < len(QUATERNION):
+        raise UnusableInput(f"{file.path}: expected all of the columns qw, qx, qy, qz or none; add the others")
+    absent = [column for column in expected.optional if column not in present]
     for column in unknown:
         near = difflib.get_close_matches(column.lower(), absent, 1, 0.75)
         if near or re.search(r"std|sigma|phase" if kind.numbered else r"std|sigma", column, re.IGNORECASE):
@@ -108,22 +233,9 @@ def _ids(file: TableFile, column: str) -> pl.Series:
     cells = file.frame[column]
     if not (cells.dtype.is_integer() or cells.dtype in (pl.String, pl.Categorical, pl.Enum, pl.Null)):
         raise UnusableInput(f"{file.path}: column {column} has type {cells.dtype}, expected text; ids are text")
-    ids = cells.cast(pl.String)
-    # The few different ids first.
-    different = ids.unique()
-    if different.str.strip_chars().str.contains(_CONTROL).any():
-        row = first_row(ids.str.strip_chars().str.contains(_CONTROL).fill_null(False))
-        raise UnusableInput(
-            f"{file.location(row, column)}: {ids[row]!r} has a control character; remove it from the id"
-        )
-    if not (different.has_nulls() or (different == "").any() or (different.str.strip_chars() != different).any()):
-        return ids
-    ids = ids.str.strip_chars()
-    missing = ids.is_null() | (ids == "")
-    if missing.any():
-        raise UnusableInput(
-            f"{file.location(first_row(missing), column)}: empty, expected an id; remove the row or name it"
-        )
+    ids = cells.cast(pl.String).str.strip_chars()
+    file.refuse(ids.str.contains(r"\p{Cc}"), column, "an id without the control character that it has; remove it")
+    file.refuse(ids.fill_null("") == "", column, "an id; remove the row or name it")
     return ids
 
 
@@ -132,105 +244,60 @@ def _numbers(file: TableFile, column: str, largest: float) -> pl.Series:
     cells = file.frame[column]
     if cells.dtype == pl.String:
         text = cells.str.strip_chars()
-        numbers = text.cast(pl.Float64, strict=False)
-        wrong = numbers.is_null() & text.is_not_null() & (text != "")
+        cells = text.cast(pl.Float64, strict=False)
+        wrong = cells.is_null() & (text != "").fill_null(False)
         if wrong.any():
-            row = first_row(wrong)
-            raise UnusableInput(
-                f"{file.location(row, column)}: {text[row][:40]!r}, expected a number; {remedy(text[row], column)}"
-            )
-    elif cells.dtype.is_numeric() or cells.dtype == pl.Null:
-        numbers = cells.cast(pl.Float64)
-    else:
+            file.refuse(wrong, column, f"a number; {remedy(text[first_row(wrong)], column)}")
+    elif not (cells.dtype.is_numeric() or cells.dtype == pl.Null):
         raise UnusableInput(f"{file.path}: column {column} has type {cells.dtype}, expected plain numbers in SI units")
-    numbers = numbers.fill_nan(None)
-    beyond = (numbers.abs() > largest).fill_null(False)
-    if beyond.any():
-        row = first_row(beyond)
-        raise UnusableInput(
-            f"{file.location(row, column)}: {numbers[row]:g}, expected a finite number in SI units; "
-            "leave the cell empty if it is missing"
-        )
+    numbers = cells.cast(pl.Float64).fill_nan(None)
+    file.refuse(numbers.abs() > largest, column, "a finite number in SI units; leave the cell empty if it is missing")
     return numbers
-
-
-def _quality(file: TableFile, column: str) -> pl.Series | None:
-    """A column of signal quality as Float64; None where a cell is no number, so that it says something else."""
-    try:
-        return _numbers(file, column, _LARGEST)
-    except UnusableInput:
-        return None
 
 
 def check_stds(file: TableFile, frame: pl.DataFrame, columns: Iterable[str]) -> None:
     """Raises UnusableInput with the row of a standard deviation that is not above zero, in one of these columns."""
+    expected = "a standard deviation above zero; leave the cell empty if it is unknown"
     for column in columns:
         if column in frame.columns:
-            wrong = (frame[column] <= 0).fill_null(False)
-            if wrong.any():
-                row = first_row(wrong)
-                raise UnusableInput(
-                    f"{file.location(row, column)}: {frame[column][row]:g}, expected a standard deviation above zero; "
-                    "leave the cell empty if it is unknown"
-                )
-
-
-def _check_quaternions(file: TableFile, frame: pl.DataFrame) -> None:
-    if "qw" in frame.columns:
-        zero = frame.select(pl.sum_horizontal(pl.col(QUATERNION).abs(), ignore_nulls=False) == 0).to_series()
-        if zero.any():
-            raise UnusableInput(
-                f"{file.location(first_row(zero), 'qw')}: a zero quaternion, expected a unit quaternion; "
-                "leave its four cells empty if the attitude is unknown"
-            )
+            file.refuse(frame[column] <= 0, column, expected)
 
 
 def _check_sensors(file: TableFile, frame: pl.DataFrame, kind: Kind, rig: Rig) -> None:
+    """Refuses anchors and stations that the rig lacks, differences of one anchor, and phases that fit no array."""
     known = kind.places(rig)
+    there = ", ".join(list(known)[:12]) + (" …" if len(known) > 12 else "")
+    expected = f"one of rig.toml: {there}; ids are text and must be spelt the same"
+    if not known:
+        survey = ", or find them by `trackwright survey`" if kind.name == "ranges" else ""
+        expected = f"a position in rig.toml, which has none; add [{kind.noun}s]{survey}"
     for column in kind.sensors:
-        for sensor in frame[column].unique(maintain_order=True):
-            if sensor not in known:
-                row = first_row(frame[column] == sensor)
-                if not known:
-                    raise UnusableInput(
-                        f"{file.location(row, column)}: {column} {sensor!r}: rig.toml gives no {kind.noun} a position; "
-                        f"add [{kind.noun}s]" + (", or find them by `trackwright survey`" * (kind.name == "ranges"))
-                    )
-                there = ", ".join(list(known)[:12]) + (" …" if len(known) > 12 else "")
-                raise UnusableInput(
-                    f"{file.location(row, column)}: {column} {sensor!r} is not in rig.toml, expected one of: {there}; "
-                    "ids are text and must be spelt the same"
-                )
+        file.refuse(~frame[column].is_in(pl.Series([*known], dtype=pl.String).implode()), column, expected)
     if kind.difference:
         first, second = kind.sensors
-        same = frame[first] == frame[second]
-        if same.any():
-            row = first_row(same)
-            raise UnusableInput(
-                f"{file.location(row, second)}: {second} {frame[second][row]!r} is the {first}, too; expected another"
-            )
-    if kind.numbered:
-        stations = frame[kind.noun].unique(maintain_order=True)
-        _check_antennas(file, frame, kind, {name: rig.stations[name].antennas for name in stations})
-
-
-def _check_antennas(file: TableFile, frame: pl.DataFrame, kind: Kind, arrays: dict) -> None:
-    """Refuses a number of phase columns other than the antennas of the largest array; smaller ones use the first."""
+        file.refuse(frame[first] == frame[second], second, f"another than {first}")
+    if not kind.numbered:
+        return
     phases = kind.layout(frame.columns).values
-    for station, antennas in arrays.items():
+    counts = {}
+    for station in frame[kind.noun].unique(maintain_order=True):
+        antennas = rig.stations[station].antennas
         if antennas is None:
             raise UnusableInput(
                 f"{file.path}: station {station!r} has phases but no antennas_m and wavelength_m in rig.toml; "
                 "add both, or give its angles in the table bearings"
             )
-    largest = max(len(antennas) for antennas in arrays.values())
-    for station, antennas in arrays.items():
-        beyond = [frame[name].is_not_null() for name in phases[len(antennas) :]]
-        if len(phases) != largest or any((filled & (frame["station"] == station)).any() for filled in beyond):
-            raise UnusableInput(
-                f"{file.path}: {len(phases)} phase columns, but station {station!r} has {len(antennas)} antennas in "
-                "rig.toml, expected as many; leave the cell of an antenna without a phase empty"
-            )
+        counts[station] = len(antennas)
+    names = [kind.columns[0].name.format(n=n + 1) for n in range(max(counts.values()))]
+    if {*phases} != {*names}:
+        raise UnusableInput(
+            f"{file.path}: {len(phases)} phase columns, expected {names[0]} … {names[-1]}, one for each antenna of the "
+            "largest station in rig.toml; leave the cell of an antenna without a phase empty"
+        )
+    for number, column in enumerate(names):
+        fewer = pl.Series([station for station, count in counts.items() if count <= number], dtype=pl.String)
+        beyond = frame["station"].is_in(fewer.implode()) & frame[column].is_not_null()
+        file.refuse(beyond, column, "an empty cell, since the station has fewer antennas in rig.toml")
 
 
 def _refuse_restart(file: TableFile, frame: pl.DataFrame, ids: tuple[str, ...]) -> None:

@@ -19,6 +19,9 @@ from trackwright.trackers.core.user_file import fault_of, split_name
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_height
 
+Key = tuple[bool, Hashable]
+"""Whether the state of a batch lies in a plane, and the part of the installation that is built into its tracker."""
+
 
 @contextmanager
 def faults_named(tracker: str, name: str, function: Callable[..., Any]) -> Iterator[None]:
@@ -107,45 +110,36 @@ class TrackerSpec:
 
         Raises UnusableInput for a folder that does not fit; `name` is the tracker's in the message.
         """
-        grouped: dict[tuple[bool, Hashable], list[Trajectories]] = defaultdict(list)
+        grouped: dict[Key, list[Trajectories]] = defaultdict(list)
         for folder in folders:
-            refused = self.refusal(folder, name)
-            if refused is not None:
+            if refused := self.refusal(folder, name):
                 raise UnusableInput(refused)
             with faults_named(name, "trajectories", self.trajectories):
                 rows = self.trajectories(folder, free_height)
-                rows = rows if isinstance(rows, Trajectories) else list(rows)
+                groups = [rows] if isinstance(rows, Trajectories) else [Trajectories.of([one]) for one in rows]
             with faults_named(name, "planar", self.planar):
-                if isinstance(rows, Trajectories):
-                    for key, part in self._parts(rows, free_height):
+                for group in groups:
+                    for key, part in self._parts(group, free_height).items():
                         grouped[key].append(part)
-                else:
-                    for trajectory in rows:
-                        key = self.planar(trajectory, free_height), self.geometry(trajectory)
-                        grouped[key].append(Trajectories.of([trajectory]))
         joined = {key: Trajectories.joined(parts) for key, parts in grouped.items()}
         with faults_named(name, "build", self.build):
             built = [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
-        if split_name(name)[0]:
-            for batch in built:
-                if not isinstance(batch.tracker, AbstractTracker):
-                    found = type(batch.tracker).__name__
-                    raise UnusableInput(f"{name}: build returned {found}; expected a tracker; usual fix: return one")
-                with faults_named(name, "run", self.build):
-                    check_input(batch.tracker, batch.trajectories[0].recording, name)
+        for batch in built if split_name(name)[0] else ():
+            if not isinstance(batch.tracker, AbstractTracker):
+                found = type(batch.tracker).__name__
+                raise UnusableInput(f"{name}: build returned {found}; expected a tracker; usual fix: return one")
+            with faults_named(name, "run", self.build):
+                check_input(batch.tracker, batch.trajectories[0].recording, name)
         return built
 
-    def _parts(
-        self, trajectories: Trajectories, free_height: bool
-    ) -> Iterator[tuple[tuple[bool, Hashable], Trajectories]]:
+    def _parts(self, trajectories: Trajectories, free_height: bool) -> dict[Key, Trajectories]:
         """The trajectories by `planar` and `geometry`, which are the first one's of each station and height."""
-        kinds: dict[tuple[str, float], tuple[bool, Hashable]] = {}
-        parts: dict[tuple[bool, Hashable], list[int]] = defaultdict(list)
+        kinds: dict[tuple[str, float], Key] = {}
+        parts: dict[Key, list[int]] = defaultdict(list)
         heights = np.nan_to_num(trajectories.heights, nan=np.inf).tolist()
         for number, kind in enumerate(zip(trajectories.stations, heights, strict=True)):
             if kind not in kinds:
                 first = trajectories[number]
                 kinds[kind] = self.planar(first, free_height), self.geometry(first)
             parts[kinds[kind]].append(number)
-        for key, numbers in parts.items():
-            yield key, trajectories.chosen(np.array(numbers))
+        return {key: trajectories.chosen(np.array(numbers)) for key, numbers in parts.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +15,6 @@ from trackwright.trackers.core.data.frames import frame_html, to_pandas
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.state import Heading
 from trackwright.trackers.core.run.chunks import CHUNK
-from trackwright.trackers.recordings.columns import stable_order
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks_table import HEADING
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
@@ -65,15 +65,11 @@ def batches(trajectories: Iterable[Trajectory], seed: int = 0, truth: bool = Tru
     `seed`: of the random numbers of filters that draw any. `truth`: whether the batches have it.
     """
     joined = Trajectories.of(trajectories)
-    groups = [(joined.chosen(numbers), steps) for numbers, steps in by_length(np.diff(joined.columns.starts))]
-    return [(group, group.columns.batch(steps, None, seed, truth)) for group, steps in groups]
-
-
-def by_length(lengths: np.ndarray) -> list[tuple[np.ndarray, int]]:
-    """The numbers of the trajectories of each batch, of these lengths (n,), and the steps that it is padded to."""
+    lengths = np.diff(joined.columns.starts)
     ordered = np.argsort(lengths, kind="stable")
     parts = [ordered[k : k + MAX_BATCH] for k in range(0, len(ordered), MAX_BATCH)]
-    return [(part, rounded(int(lengths[part].max()))) for part in parts]
+    groups = [(joined.chosen(part), rounded(int(lengths[part].max()))) for part in parts]
+    return [(group, group.columns.batch(steps, None, seed, truth)) for group, steps in groups]
 
 
 def rounded(rows: int) -> int:
@@ -87,9 +83,7 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
 
     `seed`: of the random numbers of filters that draw any.
     """
-    tables: list[pl.DataFrame] = []
-    keys: list[tuple[list[tuple[str, str]], np.ndarray]] = []
-    summaries: dict[str, int] = {}
+    tables, endings = list[pl.DataFrame](), Counter[str]()
     for group in groups:
         # Covariances of large states have hundreds of entries.
         tracker = group.tracker.for_positions()
@@ -98,44 +92,23 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
             rows = trajectories.columns.padded(trajectories.columns.times, estimates.status.shape[1])
             last, merged = estimates.per_time(rows)
             number = np.nonzero(last)[0]
-            for words, count in _summaries(number, merged.status, len(trajectories)).items():
-                summaries[words] = summaries.get(words, 0) + count
-            names = [(folder.name, tag) for folder, tag in zip(trajectories.folders, trajectories.tags, strict=True)]
-            keys.append((names, number))
+            endings += _endings(number, merged.status, len(trajectories))
             tables.append(_table(trajectories, number, estimates.valid_times(rows)[last], merged))
             advance(len(trajectories))
-    table = pl.concat(tables, how="diagonal")
-    place = {key: k for k, key in enumerate(sorted({key for names, _ in keys for key in names}))}
-    of_rows = np.concatenate([np.array([place[key] for key in names])[number] for names, number in keys])
-    return Tracks(table[_order(of_rows, table["t_s"].to_numpy())], summaries, list(groups))
+    table = pl.concat(tables, how="diagonal").sort("recording", "tag", "t_s", maintain_order=True)
+    return Tracks(table, dict(endings), list(groups))
 
 
-def _order(track: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """The order (N,) of rows by the number of their track, then time; rows of equal times keep theirs."""
-    order = stable_order(track)
-    sorted_times = (np.diff(times[order]) >= 0) | (np.diff(track[order]) > 0)
-    return order if sorted_times.all() else np.lexsort((times, track))
-
-
-def _summaries(number: np.ndarray, status: np.ndarray, count: int) -> dict[str, int]:
-    """How many of `count` trajectories ended how, in the words of `Estimates.summary`.
-
-    `number` (N,): of the trajectory of each estimate, whose `status` (N,) this is.
-    """
+def _endings(number: np.ndarray, status: np.ndarray, count: int) -> Counter[str]:
+    """How many of `count` trajectories ended how; `number` (N,): of the one of each estimate, with its `status`."""
     has = {s: np.bincount(number[status == s], minlength=count) for s in Status}
-    rows = np.bincount(number, minlength=count)
     endings = {
-        "too little data": has[Status.WAITING] == rows,
+        "too little data": has[Status.WAITING] == np.bincount(number, minlength=count),
         "non-finite": has[Status.NON_FINITE] > 0,
         "lost and re-started": has[Status.RESTARTED] > 0,
         "lost and never re-started": has[Status.LOST] > 0,
-        "ok": np.ones(count, bool),
     }
-    counts, left = {}, np.ones(count, bool)
-    for words, ended in endings.items():
-        counts[words] = int((left & ended).sum())
-        left &= ~ended
-    return {words: n for words, n in counts.items() if n}
+    return Counter(np.select(list(endings.values()), list(endings), "ok").tolist())
 
 
 def _table(trajectories: Trajectories, number: np.ndarray, times: np.ndarray, estimates: Estimates) -> pl.DataFrame:
@@ -174,22 +147,19 @@ def _positions(estimates: Estimates, height: np.ndarray, origins: np.ndarray) ->
     # A moving window has no velocity.
     velocity = [np.asarray(x) for x in getattr(estimates.mean, "velocity", ())]
     columns |= {f"v{a}_mps": v for a, v in zip(AXES, velocity, strict=False)}
-    return columns | _heading(estimates)
-
-
-def _heading(estimates: Estimates) -> dict[str, np.ndarray]:
-    """The heading of a state with an attitude, rad in (−π, π], and its standard deviation where it is kept."""
     attitude = getattr(estimates.mean, "attitude", None)
-    if attitude is None:
-        return {}
     if isinstance(attitude, Heading):
-        angle = np.asarray(attitude.angle)
-    else:
+        kept = {f"std_{HEADING}": every_sigma[name] for name in ("attitude.0",) if name in every_sigma}
+        return columns | {HEADING: _half_turns(attitude.angle)} | kept
+    if attitude is not None:
         w, x, y, z = (np.asarray(q) for q in (attitude.w, attitude.x, attitude.y, attitude.z))
-        angle = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    columns = {HEADING: np.pi - (np.pi - angle) % (2 * np.pi)}
-    sigma = estimates.sigmas.get("attitude.0") if isinstance(attitude, Heading) else None
-    return columns if sigma is None else columns | {f"std_{HEADING}": sigma}
+        columns[HEADING] = _half_turns(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    return columns
+
+
+def _half_turns(angle: Any) -> np.ndarray:
+    """Angles, rad, in (−π, π]."""
+    return np.asarray(np.pi - (np.pi - np.asarray(angle)) % (2 * np.pi))
 
 
 def from_origins(tracks: pl.DataFrame, batches: Iterable[TrackerBatch]) -> pl.DataFrame:
@@ -204,20 +174,15 @@ def from_origins(tracks: pl.DataFrame, batches: Iterable[TrackerBatch]) -> pl.Da
 
 def angles(estimates: Estimates) -> dict[str, np.ndarray]:
     """Azimuth and elevation; a direction in the array's plane has azimuth ±90° and its spread in the elevation."""
-    if hasattr(estimates.mean, "heading"):
-        angle = np.asarray(estimates.mean.heading.angle)
-        azimuth = np.where(np.cos(angle) >= 0, np.pi / 2, -np.pi / 2)
-        sigma = estimates.sigmas["heading.0"]
-        return {
-            "azimuth_rad": azimuth,
-            "elevation_rad": np.arcsin(np.clip(np.sin(angle), -1, 1)),
-            "std_azimuth_rad": np.full_like(sigma, np.nan),
-            "std_elevation_rad": sigma,
-        }
-    sigmas = estimates.sigmas
-    return {
-        "azimuth_rad": estimates.mean.azimuth,
-        "elevation_rad": estimates.mean.elevation,
-        "std_azimuth_rad": sigmas["azimuth"],
-        "std_elevation_rad": sigmas["elevation"],
-    }
+    mean, sigmas = estimates.mean, estimates.sigmas
+    if hasattr(mean, "heading"):
+        angle, sigma = np.asarray(mean.heading.angle), sigmas["heading.0"]
+        azimuth, elevation = (
+            np.where(np.cos(angle) >= 0, np.pi / 2, -np.pi / 2),
+            np.arcsin(np.clip(np.sin(angle), -1, 1)),
+        )
+        spreads = np.full_like(sigma, np.nan), sigma
+    else:
+        azimuth, elevation, spreads = mean.azimuth, mean.elevation, (sigmas["azimuth"], sigmas["elevation"])
+    both = {"azimuth_rad": azimuth, "elevation_rad": elevation}
+    return both | {"std_azimuth_rad": spreads[0], "std_elevation_rad": spreads[1]}

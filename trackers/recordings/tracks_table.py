@@ -1,18 +1,25 @@
-"""The table of estimates that `trackwright track` writes: `tracks.parquet`, its key columns and its kinds."""
+"""What `trackwright track` writes: `tracks.parquet` and its key columns, the list of recordings, archives' results."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, has_control
+from trackwright.trackers.recordings.folder import RecordingFolder, is_part, read_truth
 from trackwright.trackers.recordings.input_file import file_bytes
-from trackwright.trackers.recordings.table_file import read_parquet
+from trackwright.trackers.recordings.rig_file import RIG_FILE
+from trackwright.trackers.recordings.tables import read_parquet
 
 TRACKS, EVALUATION, SOURCES = "tracks.parquet", "evaluation.json", "recordings.txt"
 """Files in the output folder of `trackwright track`: estimates, error metrics, a path of a recording per line."""
+
+RECORDINGS, RESULTS = "recordings", "results.csv"
+"""In the output folder of an archive: the folder of the finished recordings, and the table of results."""
 
 HEADING = "heading_rad"
 """The column with the heading of a body, from x towards y."""
@@ -24,19 +31,10 @@ NO_ESTIMATE = ("waiting", "non-finite")
 def read_tracks(folder: Path | str) -> pl.DataFrame:
     """The table of estimates in the output folder of `trackwright track`; raises UnusableInput if there is none."""
     path = Path(folder) / TRACKS
-    if not path.is_file():
-        raise UnusableInput(
-            f"{path}: no such file; expected a folder with {TRACKS}; give the folder that `trackwright track` wrote"
-        )
-    if not path.stat().st_size:
-        raise UnusableInput(f"{path}: has 0 bytes; expected the table of `trackwright track`; run it again")
     tracks = read_parquet(path)
-    if not {"x_m", "azimuth_rad"} & {*tracks.columns}:
-        raise UnusableInput(f"{path}: no column x_m; expected the table of `trackwright track`; run it again")
-    if tracks.is_empty():
-        raise UnusableInput(
-            f"{path}: the table is empty; expected one row per estimate; read the output of `trackwright track`"
-        )
+    wrong = "no column x_m" if not {"x_m", "azimuth_rad"} & {*tracks.columns} else "no row" * tracks.is_empty()
+    if wrong:
+        raise UnusableInput(f"{path}: {wrong}; expected the table of `trackwright track`; run it again")
     return tracks
 
 
@@ -72,3 +70,43 @@ def is_bearing(tracks: pl.DataFrame) -> bool:
 def track_keys(tracks: pl.DataFrame) -> list[str]:
     """The columns that identify a track: recording and tag, for bearings also station."""
     return ["recording", "tag", "station"] if is_bearing(tracks) else ["recording", "tag"]
+
+
+def read_archive(out: Path) -> tuple[pl.DataFrame, dict[str, RecordingFolder], list[str]]:
+    """Recording, path and tracker of each run of an archive; the truths by recording; a line for each without one."""
+    path, columns = out / RESULTS, dict.fromkeys(("recording", "path", "tracker"), pl.String)
+    try:
+        rows = pl.read_csv(path, columns=[*columns], schema_overrides=columns).drop_nulls()
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise UnusableInput(f"{path}: cannot be read; expected the table of `track`; run `track` again") from error
+    truths, refused = dict[str, RecordingFolder](), list[str]()
+    for name, source in rows.unique(["recording", "path"], maintain_order=True).select("recording", "path").iter_rows():
+        try:
+            truths[name] = replace(read_truth(Path(source)), name=name)
+            if "truth" not in truths[name].tables:
+                refused.append(f"{source}: no truth table, expected one to evaluate against")
+        except UnusableInput as problem:
+            refused.append(str(problem))
+    return rows, truths, refused
+
+
+def require_output(path: Path) -> None:
+    """Raises UnusableInput for a folder that takes no results: a recording, a file, or the root of the file system."""
+    reasons = {
+        "is the root of the file system": path.resolve() == Path(path.resolve().anchor),
+        "has a control character or bytes that are no UTF-8": has_control(str(path)),
+        "is a file": path.is_file(),
+        "is a recording folder": (path / RIG_FILE).exists() and any(map(is_part, {*os.listdir(path)} - {RIG_FILE})),
+    }
+    for why in (why for why, true in reasons.items() if true):
+        raise UnusableInput(f"--out {path}: {why}; expected a folder for results; choose another folder")
+
+
+def require_new(out: Path, name: str, force: bool) -> None:
+    """Raises UnusableInput for a file without the ending of `name`, or that exists and is not to be replaced."""
+    ending = Path(name).suffix
+    if out.suffix != ending or out.is_dir():
+        raise UnusableInput(f"--out {out}: expected a file with the ending {ending}; give {name} in a folder")
+    if out.exists() and not force:
+        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    require_output(out.parent)

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from trackwright.trackers.core.data.recording import Columns, Readings, Recording, each_array
+from trackwright.trackers.recordings.columns import TruthStatus
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import Kind, std_column
-from trackwright.trackers.recordings.truth import TruthStatus
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,7 @@ class Trajectory:
 
 
 class Trajectories(Sequence[Trajectory]):
-    """Trajectories whose rows are columns, of which each trajectory is a view.
-
-    `folders`, `tags` and `stations`: of the trajectories. `columns`: their rows.
-    """
+    """Trajectories, by folder, tag and station, whose rows are `columns`, of which each trajectory is a view."""
 
     def __init__(
         self, folders: Sequence[RecordingFolder], tags: Sequence[str], stations: Sequence[str], columns: Columns
@@ -141,28 +138,22 @@ def kind_trajectories(folder: RecordingFolder, kind: Kind) -> Trajectories:
 def segments(trajectory: Trajectory, rows: int) -> list[Trajectory]:
     """The trajectory cut into segments of about `rows` rows, which fits run in parallel, each with its own start."""
     whole = trajectory.recording
-    count = max(1, round(len(whole) / rows))
-    ends = np.linspace(0, len(whole), count + 1).astype(int)
+    ends = np.linspace(0, len(whole), max(1, round(len(whole) / rows)) + 1).astype(int)
     return [replace(trajectory, recording=cut(whole, a, b)) for a, b in pairwise(ends)]
 
 
 def cut(recording: Recording, start: int, stop: int) -> Recording:
     """The rows start … stop − 1 of a recording."""
-    part = slice(start, stop)
     # Segments of one trajectory draw different random numbers.
     segment_id = None if recording.id is None else (recording.id + int(start)) % 2**64
-    rows = each_array(recording, lambda x: x[part])
-    return Recording(recording.times[part], *rows, recording.name, segment_id)
+    rows = each_array(recording, lambda x: x[start:stop])
+    return Recording(recording.times[start:stop], *rows, recording.name, segment_id)
 
 
 def trajectory_ids(folder: str, tags: Sequence[str], stations: Sequence[str]) -> list[int]:
     """The ids of trajectories of a recording folder: random numbers do not depend on the others that run with it."""
-    begun, ids = blake2b(f"{folder}\0".encode(), digest_size=8), []
-    for tag, station in zip(tags, stations, strict=True):
-        hasher = begun.copy()
-        hasher.update(f"{tag}\0{station}".encode())
-        ids.append(int.from_bytes(hasher.digest(), "little"))
-    return ids
+    texts = (f"{folder}\0{tag}\0{station}".encode() for tag, station in zip(tags, stations, strict=True))
+    return [int.from_bytes(blake2b(text, digest_size=8).digest(), "little") for text in texts]
 
 
 def with_floor_truth(trajectory: Trajectory) -> Trajectory:
@@ -183,7 +174,4 @@ def known_height(folder: RecordingFolder, tag: str) -> float | None:
 
 def known_heights(folder: RecordingFolder, tags: Sequence[str]) -> np.ndarray:
     """The constant heights of tags in the rig, m; NaN for those without one."""
-    known = folder.rig.tags
-    if all(tag.height is None for tag in known.values()):
-        return np.full(len(tags), np.nan)
-    return np.array([np.nan if (tag := known.get(name)) is None or tag.height is None else tag.height for name in tags])
+    return np.array([known_height(folder, tag) for tag in tags], float)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from trackwright.trackers.recordings.checks.imu import between, imu_rows, spaced
+from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import QUATERNION
 from trackwright.trackers.recordings.trajectories import known_height
 
 HOLD_S = 0.2

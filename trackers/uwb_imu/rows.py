@@ -15,7 +15,6 @@ from trackwright.trackers.core.data.recording import Columns, Readings
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.parts.range_rows import (
     CARRIER,
     anchor_positions,
@@ -27,9 +26,8 @@ from trackwright.trackers.parts.range_rows import (
 )
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.recent_positions import latest_rows
-from trackwright.trackers.recordings.columns import TableRows, TagRows
+from trackwright.trackers.recordings.columns import QUATERNION, TableRows, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import QUATERNION
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
     Trajectories,
@@ -40,7 +38,7 @@ from trackwright.trackers.recordings.trajectories import (
 )
 from trackwright.trackers.uwb_imu.body import LASTS, body_tracker
 from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories, lacks_differences
-from trackwright.trackers.uwb_imu.differences import TDOA, difference_levels, difference_tracker
+from trackwright.trackers.uwb_imu.differences import TDOA, difference_tracker
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 from trackwright.trackers.uwb_imu.imu_inputs import imu_inputs, tilting_tags, to_level_axes
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker, inertial_tracker
@@ -397,10 +395,7 @@ def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:
 
 
 def _inertial_of_differences(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    levels = difference_levels(trajectory.folder.calibration)
-    drift = BiasDrift(**levels) if levels else None
-    tracker = inertial_difference_tracker(_anchors(trajectory), _slots(trajectory), planar, drift=drift)
-    return replace(tracker, lasting_errors=not levels)
+    return replace(inertial_difference_tracker(_anchors(trajectory), _slots(trajectory), planar), lasting_errors=True)
 
 
 def _slots(trajectory: Trajectory) -> int:
@@ -409,9 +404,8 @@ def _slots(trajectory: Trajectory) -> int:
 
 def tracker_of_differences(trajectory: Trajectory, planar: bool, together: int = 8) -> Tracker:
     """The tracker of a trajectory's range differences, with `bias_slots`."""
-    levels = difference_levels(trajectory.folder.calibration)
-    tracker = difference_tracker(bias_slots(trajectory, together), _slots(trajectory), planar, **levels)
-    return replace(tracker, lasting_errors=not levels)
+    tracker = difference_tracker(bias_slots(trajectory, together), _slots(trajectory), planar)
+    return replace(tracker, lasting_errors=True)
 
 
 _trilateration = partial(
@@ -460,11 +454,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         trajectories=difference_trajectories,
         build=tracker_of_differences,
         lacks=lacks_differences,
-        geometry=lambda trajectory: (
-            bias_slots(trajectory),
-            _slots(trajectory),
-            *difference_levels(trajectory.folder.calibration).values(),
-        ),
+        geometry=lambda trajectory: (bias_slots(trajectory), _slots(trajectory)),
     ),
     "tdoa-imu": partial(
         TrackerSpec,
@@ -472,11 +462,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_inertial_of_differences,
         notices=partial(tilting_tags, read=TDOA, without=TDOA),
         lacks=lacks_differences_or_imu,
-        geometry=lambda trajectory: (
-            _anchors(trajectory),
-            _slots(trajectory),
-            *difference_levels(trajectory.folder.calibration).values(),
-        ),
+        geometry=lambda trajectory: (_anchors(trajectory), _slots(trajectory)),
     ),
     "multilateration": partial(
         TrackerSpec,

@@ -16,7 +16,7 @@ from trackwright.tuning.calibrating import by_halves
 
 SMOOTHED, OTHER_SITES, LATENCY = " smoothed", "other sites", "*latency*"
 NEVER_SMOOTHED = ("line-grid", "das", "trilateration-compensated")
-CALIBRATED = ("bearings", "uwb", "line-grid", "tdoa")
+CALIBRATED = ("bearings", "uwb", "line-grid")
 
 
 def cases() -> Iterator[Case]:

@@ -16,9 +16,11 @@ from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.recordings.calibration import (
+    ANGLE_PRIOR,
     ANGLES,
     DETERMINED,
     OFFSET_SIGMA,
+    RANGE_PRIOR,
     UNCALIBRATED,
     Calibration,
     angle_terms,
@@ -43,15 +45,11 @@ SECTIONS = {
     "anchors": Section(
         "Anchors", ("anchor", "bias, m", "slope", *_ERRORS), (), 1,
         "A distance d is measured as d + bias + slope·d, plus the bias of the tag where there are several."),
-    "differences": Section(
-        "Range differences", ("anchor", "bias, m", *_ERRORS), (), 1,
-        "A difference of distances is measured with the bias of its first anchor less the bias of the second; biases "
-        "are relative to their mean. Rows and errors are of all differences of an anchor."),
     "tags": Section(
         "Tags", ("tag", "bias, m", "ahead, m", "to the left, m", "rows"), (), 1,
         "Bias relative to the mean of the tags, and where on the body their ranges end, from the place of the tag."),
 }  # fmt: skip
-"""The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several."""
+"""The tables without their rows: of stations by angle, of anchors, of tags if several."""
 
 NOTES = {
     "±": "±: standard error.",
@@ -63,9 +61,9 @@ NOTES = {
 
 
 class Source(NamedTuple):
-    """One angle of a station, or the ranges of an anchor or its range differences to others.
+    """One angle of a station, or the ranges of an anchor.
 
-    `table`: stations, anchors or differences. `column`: of the pairs.
+    `table`: stations or anchors. `column`: of the pairs.
     """
 
     table: str
@@ -84,26 +82,19 @@ class Source(NamedTuple):
         """The readings (N,), rad or m, NaN where not measured."""
         return self.pairs.measured[:, self.column]
 
-    def fit(self, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def fit(self, calibration: Calibration) -> tuple[np.ndarray, ...]:
         """Terms, covariance, and whether each is determined."""
         if self.is_angle:
             station, k = calibration.stations[self.name], self.column
-            return station.coefficients[k], station.covariances[k], station.determined[k]
-        if self.table == "differences":
-            known, k = calibration.differences, calibration.differences.anchors.index(self.name)
-            return known.biases[[k]], known.covariance[[k]][:, [k]], known.determined[[k]]
+            return _with_verdict(station.coefficients[k], station.covariances[k], ANGLE_PRIOR[1])
         anchor = calibration.anchors[self.name]
-        return anchor.coefficients, anchor.covariance, anchor.determined
+        return _with_verdict(anchor.coefficients, anchor.covariance, RANGE_PRIOR[1])
 
     def errors(self, calibration: Calibration | None) -> np.ndarray:
         """Measured minus expected values (N,), rad or m, NaN where not measured; None: without a calibration."""
         expected = self.pairs.true[:, self.column]
         if calibration is not None and self.is_angle:
             expected = calibration.stations.get(self.name, UNCALIBRATED).measured(self.pairs.true)[:, self.column]
-        elif calibration is not None and self.table == "differences":
-            names, number = np.unique(self.pairs.other, return_inverse=True)
-            both = np.column_stack([np.full(len(number), len(names)), number])
-            expected = expected - calibration.of_differences([*names, self.name], both, np.zeros(len(number)))[0]
         elif calibration is not None and self.name in calibration.anchors:
             tags, number = np.unique(self.pairs.tag, return_inverse=True)
             biases = np.array([calibration.tags[tag].bias if tag in calibration.tags else 0.0 for tag in tags])
@@ -134,8 +125,7 @@ class Report(NamedTuple):
 
 def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
     """The tables of a calibration of these recordings."""
-    # An anchor whose differences are to anchors with too few has no bias.
-    sources = [one for one in _sources(folders) if one.table != "differences" or one.name in calibration.differences]
+    sources = [*_sources(folders)]
     rows: dict[str, list[list[str]]] = {name: [] for name in SECTIONS}
     without = list[Calibration | None]()
     for apart in folders:
@@ -176,11 +166,15 @@ def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
     of = {
         "stations": ("bearings", ANGLES),
         "anchors": ("ranges", ["range"]),
-        "differences": ("tdoa", ["range difference"]),
     }
     for table, (kind, quantities) in of.items():
         for name, pairs in calibration_pairs(folders, KINDS[kind]).items():
             yield from (Source(table, name, quantity, k, pairs) for k, quantity in enumerate(quantities))
+
+
+def _with_verdict(terms: np.ndarray, covariance: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Terms, their covariance, and whether the recordings of the fit determine each, rather than its prior."""
+    return terms, covariance, np.sqrt(np.diag(covariance)) < DETERMINED * prior
 
 
 def _term(value: float, sigma: float, determined: bool) -> str:
@@ -254,7 +248,7 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
     """Writes the page beside the file `out`, with its name and the ending .html; returns the path."""
     recordings, tables = calibration.recordings, report.tables
     counts = {name: len({row[0] for row in table.rows}) for name, table in tables.items() if name != "tags"}
-    words = {"stations": "station", "anchors": "anchor", "differences": "anchor in range differences"}
+    words = {"stations": "station", "anchors": "anchor"}
     of = listed([counted(count, words[name]) for name, count in counts.items()])
     summary = f"Systematic errors of {of}, from recordings with truth: {listed(recordings, 12)}."
     if len(recordings) < 2:

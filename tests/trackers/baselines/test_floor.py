@@ -89,11 +89,10 @@ def test_the_walls_take_a_quarter_of_the_error_across_the_corridor(there, tracke
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        ("[floor]", "neither walls_m nor outline_m"),
         ("[floor]\nwalls_m = []", "expected numbers of shape n 4"),
         ("[floor]\nwalls_m = [[0, 0, 1]]", "expected numbers of shape n 4"),
         ("[floor]\noutline_m = [[0, 0], [1, 1]]", "expected at least 3 items"),
-        ("[floor]\nwall_m = [[0, 0, 1, 1]]", "has neither walls_m nor outline_m"),
+        ("[floor]\nwall_m = [[0, 0, 1, 1]]", "unknown key 'wall_m' in .floor., expected walls_m"),
     ],
 )
 def test_a_floor_plan_that_is_none_is_refused_with_its_key(there, tmp_path, lines, words):

@@ -183,12 +183,3 @@ def test_a_tracker_by_name_lists_its_tunables_and_filters_a_folder_as_a_pure_fun
     found, expected = tw.filter_batch(named, folder), tw.filter_batch(batch.tracker, rows)
     for one, other in zip(found.mean.position, expected.mean.position, strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize(("apart", "said"), [(30.0, True), (5.0, False)])
-def test_epochs_beyond_the_time_after_which_a_track_is_lost_are_named_with_the_option(apart, said):
-    folder = tw.simulate.agv(n=1, seed=1, rows=40).folder()
-    fixes = folder.tables["fixes"].with_columns(pl.int_range(pl.len(), dtype=pl.Int64).cast(float).alias("t_s") * apart)
-    rare = dataclasses.replace(folder, tables={"fixes": fixes})
-    (batch,) = tw.build("fix-kf", rare).batches(rare)
-    assert any("30 s apart" in line and "track_loss.max_gap=90 keeps" in line for line in batch.notices) == said

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S
-from trackwright.trackers.recordings.truth import TruePaths, TruthStatus
+from trackwright.trackers.recordings.columns import TruePaths, TruthStatus
 
 
 def _alone(at, times, positions):

@@ -8,9 +8,8 @@ import pytest
 
 import trackwright as tw
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.folder import RecordingFolder, Selection
 from trackwright.trackers.recordings.rig_file import read_rig, rig_text
-from trackwright.trackers.recordings.selection import Selection
 from trackwright.tuning.calibrating import calibrate
 
 CORNERS = {f"A{k}": np.array(place) for k, place in enumerate([(-3, -3, 2.2), (3, -3, 2.6), (3, 3, 2.2), (-3, 3, 2.6)])}
@@ -113,9 +112,9 @@ def test_bodies_of_a_rig_are_read_as_written_and_contradictions_refused(tmp_path
     assert read_rig(path)[0].bodies == {"trolley": ("front", "left", "right")}
     text = rig_text(rig)
     for old, new, expected in (
-        ('left", "right"]', 'left", "rear"]', "names 'rear', which has no offset_m"),
+        ('left", "right"]', 'left", "rear"]', "tag 'rear' has no offset_m"),
         ('tags = ["front", "left", "right"]', 'tags = ["front"]', "expected at least 2 items"),
-        ("[bodies", '[bodies.cart]\ntags = ["left", "right"]\n[bodies', "names 'left' again"),
+        ("[bodies", '[bodies.cart]\ntags = ["left", "right"]\n[bodies', "tag 'left' is named again"),
     ):
         assert old in text
         path.write_text(text.replace(old, new))

@@ -11,10 +11,9 @@ import polars as pl
 from jaxtyping import Float, Int
 
 from trackwright.trackers.recordings.checks.readings import MOST_ROWS, known_median
-from trackwright.trackers.recordings.columns import stable_order, within_groups
+from trackwright.trackers.recordings.columns import TruePaths, stable_order, within_groups
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors, wrapped
-from trackwright.trackers.recordings.truth import TruePaths
 
 MOST_OF_GROUP, LEAST_OF_GROUP = 500, 12
 """Readings of an anchor, station or tag that are compared, evenly spaced in time; and the least number of them."""

@@ -18,9 +18,9 @@ from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.changes import Change, signed_axes
 from trackwright.trackers.recordings.checks.compared import MOST_OF_GROUP, Compared
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
+from trackwright.trackers.recordings.columns import QUATERNION, TruePaths
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import QUATERNION, Column, Kind, Sensors, layout
-from trackwright.trackers.recordings.truth import TruePaths
+from trackwright.trackers.recordings.kinds import Column, Kind, Sensors, layout
 
 MOST_TAGS, MOST_ROWS, LEAST_WINDOWS, LEAST_TURN = 12, 30_000, 20, 0.05
 """Tags whose IMU is checked, and rows of each, the first ones; windows, and root mean square turn, rad, that tell."""

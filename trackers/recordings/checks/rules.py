@@ -18,9 +18,8 @@ from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
 from trackwright.trackers.core.wording import counted, significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
-from trackwright.trackers.recordings.columns import TableRows
-from trackwright.trackers.recordings.kinds import KINDS, QUATERNION, Kind, duplicates_line, first_time, table_kinds
-from trackwright.trackers.recordings.truth import TruePaths, TruthStatus
+from trackwright.trackers.recordings.columns import QUATERNION, TableRows, TruePaths, TruthStatus
+from trackwright.trackers.recordings.kinds import KINDS, Kind, duplicates_line, first_time, table_kinds
 
 Tables = Mapping[str, pl.DataFrame]
 Results = Iterator[CheckResult]

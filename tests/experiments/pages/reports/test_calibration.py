@@ -11,7 +11,7 @@ def _source(true, error, positions=None, number=None):
     values, none = np.asarray(true)[:, None], np.zeros(len(true), int)
     positions = np.zeros((len(true), 3)) if positions is None else positions
     pairs = Pairs(
-        values, values + np.asarray(error)[:, None], positions, none if number is None else number, *[none] * 6
+        values, values + np.asarray(error)[:, None], positions, none if number is None else number, *[none] * 5
     )
     return Source("anchors", "A", "range", 0, pairs)
 
