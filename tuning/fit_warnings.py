@@ -154,6 +154,6 @@ def without_intervals(uncertainty: Uncertainty | None, intervals: Mapping[str, I
     if np.isnan(uncertainty.observed).any() and np.isnan(uncertainty.sandwich).any():
         return [
             f"no 95 % intervals: this objective is no likelihood and takes {MIN_TRAJECTORIES} trajectories, found "
-            f"{uncertainty.clusters}; give shorter --piece-rows or --objective nll"
+            f"{uncertainty.clusters}; give more recordings or --objective nll"
         ]
     return []

@@ -70,7 +70,7 @@ class Survey:
 
     @property
     def half_widths(self) -> Float[np.ndarray, "A 4"]:
-        """Those of the 95 % intervals of x, y, z and delay, m."""
+        """Half-widths of the 95 % intervals of x, y, z and delay, m."""
         return NORMAL * np.sqrt(np.diag(self.covariance)).reshape(-1, 4)
 
     def block(self, k: int) -> Float[np.ndarray, "4 4"]:
@@ -248,8 +248,10 @@ def framed(
     given: Sequence[str], sigma: float, frame: Sequence[str],
 ) -> tuple[Solution, Prior, list[str]]:  # fmt: skip
     """The solution among the given anchors or in the frame of three, the prior with what that fixes, and assumptions.
-    `d`: the coordinates that it
-    turns. `known` (A, 3): positions, m, of the given ones, of standard deviation `sigma`, m."""
+
+    `d`: the coordinates that are turned. `known` (A, 3): positions, m, of the given anchors, with standard deviation
+    `sigma`, m.
+    """
     free, mean, precision = prior.free.reshape(-1, 4).copy(), prior.mean.copy(), prior.precision
     anchors, target, notes = solution.anchors[:, :3], known.copy(), []
     if given:
