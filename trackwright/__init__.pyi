@@ -98,7 +98,6 @@ from trackwright.trackers.parts.ranges import RangeSensor as RangeSensor
 from trackwright.trackers.programs.program_cache import cache_programs as cache_programs
 from trackwright.trackers.recordings.calibration import AnchorCalibration as AnchorCalibration
 from trackwright.trackers.recordings.calibration import Calibration as Calibration
-from trackwright.trackers.recordings.calibration import DifferenceCalibration as DifferenceCalibration
 from trackwright.trackers.recordings.calibration import StationCalibration as StationCalibration
 from trackwright.trackers.recordings.calibration import TagCalibration as TagCalibration
 from trackwright.trackers.recordings.calibration import read_calibration as read_calibration
@@ -164,7 +163,6 @@ __all__ = [
     "Calibration",
     "StationCalibration",
     "AnchorCalibration",
-    "DifferenceCalibration",
     "TagCalibration",
     "read_calibration",
     "write_calibration",

@@ -2,8 +2,7 @@
 
 Each angle of a station, and each anchor, is a robust linear regression of its own with a weak normal prior. Its errors
 are correlated: over seconds, and at a place however often a tag returns. Rows of one piece of time and place share
-their weight, and the covariance is a sandwich whose meat adds scores within pieces of time and within places. The
-biases of range differences come from one regression, since each difference has two.
+their weight, and the covariance is a sandwich whose meat adds scores within pieces of time and within places.
 
 Cross-fitting corrects a recording by what others show, or each half of it by the other half.
 """
@@ -20,13 +19,11 @@ from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Point
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
-    NO_DIFFERENCES,
     OFFSET_SIGMA,
     RANGE_PRIOR,
     TAG_SIGMA,
     AnchorCalibration,
     Calibration,
-    DifferenceCalibration,
     StationCalibration,
     TagCalibration,
     angle_terms,
@@ -58,8 +55,7 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     stations = _stations(calibration_pairs(folders, KINDS["bearings"]))
     places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}
     anchors, tags, spread = _anchors(calibration_pairs(folders, KINDS["ranges"]), places)
-    differences = _differences(calibration_pairs(folders, KINDS["tdoa"]), places)
-    if not stations and not anchors and not differences.anchors:
+    if not stations and not anchors:
         raise UnusableInput(_lacking(folders))
     mounted = {name: station for folder in folders for name, station in folder.rig.stations.items()}
     return Calibration(
@@ -68,7 +64,6 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
         tags,
         tuple(folder.name for folder in folders),
         spread,
-        differences,
     )
 
 
@@ -213,33 +208,6 @@ def _tag_offsets(
         shifts = {name: (ends[name] * offsets[number[name]]).sum(axis=1) for name in rows}
         fitted = regressions({name: r._replace(y=r.y - shifts[name]) for name, r in rows.items()}, *RANGE_PRIOR)
     return offsets, sigmas
-
-
-def _differences(pairs: Mapping[str, Pairs], places: Mapping[str, Point]) -> DifferenceCalibration:
-    """The biases of anchors in range differences, by one regression on all of them."""
-    ids = np.array(sorted(pairs))
-    parts = []
-    for name, values in pairs.items():
-        rows = _rows(values, (ids == name) * 1.0 - (ids == values.other[:, None]), 0)
-        rows = rows._replace(y=rows.y - values.true[:, 0])
-        # Each difference once; by its anchors, so that evenly spaced ones of a place are of all of them.
-        order = np.argsort(values.other, kind="stable")
-        order = order[np.isin(values.other[order], ids) & (values.other[order] > name)]
-        parts.append(Rows(*(column[order] for column in rows)))
-    if not sum(len(part.y) for part in parts):
-        return NO_DIFFERENCES
-    joined = Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    fit = regressions({"": joined}, np.zeros(len(ids)), np.full(len(ids), RANGE_PRIOR[1][0]))[""]
-    # Differences do not see the mean of the biases.
-    centred = np.eye(len(ids)) - 1.0 / len(ids)
-    return DifferenceCalibration(
-        tuple(ids.tolist()),
-        centred @ fit.terms,
-        centred @ fit.covariance @ centred,
-        np.stack([np.asarray(places[name], float) for name in ids]),
-        tuple(int((joined.x[:, k] != 0.0).sum()) for k in range(len(ids))),
-        fit.scale,
-    )
 
 
 def by_halves(folder: RecordingFolder) -> list[RecordingFolder]:

@@ -28,8 +28,8 @@ class Pairs(NamedTuple):
 
     `true` and `measured` (N, 2) rad or (N, 1) m, NaN where not measured. `positions` (N, 3) m. `recording` (N,): the
     number of each row's recording. `piece`, `place` (N,): numbers of its piece of time and of its square. `tag` (N,):
-    its id. `time` (N,) s. `other` (N,): the id of the anchor whose distance is subtracted, "" where none is. `heading`
-    (N,) rad: of the body, NaN where it is not known.
+    its id. `time` (N,) s. `heading` (N,) rad: of the body, NaN where it
+    is not known.
     """
 
     true: np.ndarray
@@ -40,15 +40,11 @@ class Pairs(NamedTuple):
     place: np.ndarray
     tag: np.ndarray
     time: np.ndarray
-    other: np.ndarray
     heading: np.ndarray
 
 
 def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind) -> dict[str, Pairs]:
-    """Measured and true values of a kind by station or anchor, of those with enough rows.
-
-    A difference is one of each of its anchors: of the second with the opposite sign.
-    """
+    """Measured and true values of a kind by station or anchor, of those with enough rows."""
     parts: dict[str, list[Pairs]] = {}
     for number, folder in enumerate(folders):
         if kind.name in folder.tables:
@@ -78,28 +74,11 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
     # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
     away = measured.values - true
     values = measured.values - (away - wrapped(away, measured.columns))
-    sensors, names = measured.sensors.number, np.array([*measured.ids, ""])
-    if not kind.difference:
-        sensors = np.column_stack([sensors[:, 0], np.full(len(sensors), len(measured.ids))])
-    known &= sensors[:, 0] != sensors[:, 1]
+    number_of = np.full(len(tag), number)
     for code, name in enumerate(measured.ids):
-        for sign, (first, second) in ((1.0, (0, 1)), (-1.0, (1, 0)))[: 1 + kind.difference]:
-            mask = known & (sensors[:, first] == code)
-            yield (
-                name,
-                Pairs(
-                    sign * true[mask],
-                    sign * values[mask],
-                    positions[mask],
-                    np.full(mask.sum(), number),
-                    piece[mask],
-                    place[mask],
-                    tag[mask],
-                    rows.times[mask],
-                    names[sensors[mask, second]],
-                    headings[mask],
-                ),
-            )
+        mask = known & (measured.sensors.number[:, 0] == code)
+        columns = true, values, positions, number_of, piece, place, tag, rows.times, headings
+        yield name, Pairs(*(column[mask] for column in columns))
 
 
 def end_factors(pairs: Pairs, anchor: Point) -> np.ndarray:

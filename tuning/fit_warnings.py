@@ -1,4 +1,4 @@
-"""Warnings about a fit: what its recordings do not determine, levels that collapsed, readings that repeat."""
+"""Warnings about a fit: what its recordings do not determine, levels that collapsed, errors that last."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ class Survey:
 
     @property
     def half_widths(self) -> Float[np.ndarray, "A 4"]:
-        """Those of the 95 % intervals of x, y, z and delay, m."""
+        """Half-widths of the 95 % intervals of x, y, z and delay, m."""
         return NORMAL * np.sqrt(np.diag(self.covariance)).reshape(-1, 4)
 
     def block(self, k: int) -> Float[np.ndarray, "4 4"]:
@@ -106,12 +106,14 @@ class Survey:
     @property
     def reading(self) -> str:
         """How to read the rows."""
-        wide = f"intervals are {self.effect**0.5:.1f} times as wide as with independent ones."
-        return f"± half the 95 % interval; in parentheses: not determined. As errors are correlated in time, {wide}"
+        wide = f"{self.effect**0.5:.1f} times as wide as with independent errors"
+        return f"± half the 95 % interval, {wide}; in parentheses: not determined."
 
     def __str__(self) -> str:
-        lines = text_lines([list(self.head), *self.rows()], "<" + ">" * (len(self.head) - 2) + "<")
-        return "\n".join([f"Anchors of {self.rig.name}", "", *lines, "", self.reading])
+        rows = self.rows()
+        lines = text_lines([row[:-1] for row in (list(self.head), *rows)], "<" + ">" * (len(self.head) - 2))
+        verdicts = [f"{name}: {verdict}" for name, *_, verdict in rows]
+        return "\n".join([f"Anchors of {self.rig.name}", "", *lines, "", *verdicts, "", self.reading])
 
     def __repr__(self) -> str:
         return f"<Survey of {len(self.names)} anchors from {len(self.paths)} walks; print it for a table>"
@@ -246,8 +248,10 @@ def framed(
     given: Sequence[str], sigma: float, frame: Sequence[str],
 ) -> tuple[Solution, Prior, list[str]]:  # fmt: skip
     """The solution among the given anchors or in the frame of three, the prior with what that fixes, and assumptions.
-    `d`: the coordinates that it
-    turns. `known` (A, 3): positions, m, of the given ones, of standard deviation `sigma`, m."""
+
+    `d`: the coordinates that are turned. `known` (A, 3): positions, m, of the given anchors, with standard deviation
+    `sigma`, m.
+    """
     free, mean, precision = prior.free.reshape(-1, 4).copy(), prior.mean.copy(), prior.precision
     anchors, target, notes = solution.anchors[:, :3], known.copy(), []
     if given:

@@ -71,8 +71,9 @@ def tempered_anew(driver: MultiStart, state: FitState) -> FitState:
 def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str]) -> FitState:
     """The state of a finished fit, or with another best point, where recordings left out ask for another weight.
 
-    That of the likelihood is divided by `RATIO`, or with three or more else multiplied, while fits without a part of
-    the recordings get better on it, by more than a standard error. `recordings`: of each trajectory, empty for padding.
+    The likelihood's weight is divided by `RATIO`, or with three or more recordings multiplied, while fits without a
+    part of the recordings get better on it, by more than a standard error. `recordings`: of each trajectory, empty for
+    padding.
     """
     problem, winner = driver.problem, int(np.argmin(state.best_scores))
     names, of_trajectory = list(dict.fromkeys(name for name in recordings if name)), np.asarray(recordings)

@@ -42,15 +42,11 @@ SECTIONS = {
     "anchors": Section(
         "Anchors", ("anchor", "bias, m", "slope", *_ERRORS), (), 1,
         "A distance d is measured as d + bias + slope·d, plus the bias of the tag where there are several."),
-    "differences": Section(
-        "Range differences", ("anchor", "bias, m", *_ERRORS), (), 1,
-        "A difference of distances is measured with the bias of its first anchor less the bias of the second; biases "
-        "are relative to their mean. Rows and errors are of all differences of an anchor."),
     "tags": Section(
         "Tags", ("tag", "bias, m", "ahead, m", "to the left, m", "rows"), (), 1,
         "Bias relative to the mean of the tags, and where on the body their ranges end, from the place of the tag."),
 }  # fmt: skip
-"""The tables without their rows: of stations by angle, of anchors of ranges and of differences, of tags if several."""
+"""The tables without their rows: of stations by angle, of anchors, of tags if several."""
 
 NOTE = (
     "±: standard error. In brackets: not determined by these recordings, near its value before them. As measured, "
@@ -60,9 +56,9 @@ NOTE = (
 
 
 class Source(NamedTuple):
-    """One angle of a station, or the ranges of an anchor or its range differences to others.
+    """One angle of a station, or the ranges of an anchor.
 
-    `table`: stations, anchors or differences. `column`: of the pairs.
+    `table`: stations or anchors. `column`: of the pairs.
     """
 
     table: str
@@ -81,9 +77,6 @@ class Source(NamedTuple):
         if self.table == "stations":
             station, k = calibration.stations[self.name], self.column
             return _told(station.coefficients[k], station.covariances[k], ANGLE_PRIOR[1])
-        if self.table == "differences":
-            known, k = calibration.differences, calibration.differences.anchors.index(self.name)
-            return _told(known.biases[[k]], known.covariance[[k]][:, [k]], RANGE_PRIOR[1][:1])
         anchor = calibration.anchors[self.name]
         return _told(anchor.coefficients, anchor.covariance, RANGE_PRIOR[1])
 
@@ -92,10 +85,6 @@ class Source(NamedTuple):
         expected = self.pairs.true[:, self.column]
         if calibration is not None and self.table == "stations":
             expected = calibration.stations.get(self.name, UNCALIBRATED).measured(self.pairs.true)[:, self.column]
-        elif calibration is not None and self.table == "differences":
-            names, number = np.unique(self.pairs.other, return_inverse=True)
-            both = np.column_stack([np.full(len(number), len(names)), number])
-            expected = expected - calibration.of_differences([*names, self.name], both, np.zeros(len(number)))[0]
         elif calibration is not None and self.name in calibration.anchors:
             tags, number = np.unique(self.pairs.tag, return_inverse=True)
             biases = np.array([calibration.tags[tag].bias if tag in calibration.tags else 0.0 for tag in tags])
@@ -123,8 +112,7 @@ class Report(NamedTuple):
 
 def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
     """The tables of a calibration of these recordings."""
-    # An anchor whose differences are to anchors with too few has no bias.
-    sources = [one for one in _sources(folders) if one.table != "differences" or one.name in calibration.differences]
+    sources = [*_sources(folders)]
     rows: dict[str, list[list[str]]] = {name: [] for name in SECTIONS}
     without = list[Calibration | None]()
     for apart in folders:
@@ -154,11 +142,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
-    of = {
-        "stations": ("bearings", ANGLES),
-        "anchors": ("ranges", ["range"]),
-        "differences": ("tdoa", ["range difference"]),
-    }
+    of = {"stations": ("bearings", ANGLES), "anchors": ("ranges", ["range"])}
     for table, (kind, quantities) in of.items():
         for name, pairs in calibration_pairs(folders, KINDS[kind]).items():
             yield from (Source(table, name, quantity, k, pairs) for k, quantity in enumerate(quantities))

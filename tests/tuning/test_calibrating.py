@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from tests.tuning.calibration_worlds import ANCHORS, RIG, lasting, recording, standardised, walk, world
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Station, Tag
-from trackwright.trackers.recordings.calibration import ANGLE_PRIOR, RANGE_PRIOR, Calibration
+from trackwright.trackers.recordings.calibration import ANGLE_PRIOR, RANGE_PRIOR
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.calibrating import LEAST_SLOPE, calibrate
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
@@ -187,14 +187,6 @@ def test_too_few_rows_are_refused_and_stations_with_few_are_left_out():
         calibrate(replace(folder, tables={name: table.head(40) for name, table in folder.tables.items()}))
     few = folder.tables["bearings"].filter(~north | (pl.col("t_s") < 3.0))
     assert set(calibrate(replace(folder, tables=folder.tables | {"bearings": few})).stations) == {"south", "west"}
-
-
-def test_a_calibration_of_recordings_that_carry_one_starts_from_the_tables():
-    known, folders = world(5, 1)
-    again = calibrate([folder.calibrated(Calibration(known.stations)) for folder in folders])
-    np.testing.assert_array_equal(
-        again.stations["north"].coefficients, calibrate(folders).stations["north"].coefficients
-    )
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1e3])

@@ -31,7 +31,9 @@ def _walk(rng, rows, sigma_v=0.3, step=0.1):
 
 
 def _gauss_markov(rng, rows, sigma, length, step=0.1):
-    """Errors whose correlation falls by e every `length` s."""
+    """Errors whose correlation falls by e every `length` s; independent ones for 0."""
+    if length == 0:
+        return sigma * rng.normal(size=rows)
     a, x = np.exp(-step / length), np.empty(rows)
     x[0] = sigma * rng.normal()
     for k in range(1, rows):
@@ -83,20 +85,9 @@ def test_the_values_without_a_recording_are_those_of_a_fit_to_the_others(objecti
 SIGMA, STEP = "sensors.gauge.sigma", 0.1
 
 
-def _errors(rng, rows, length):
-    """Standard normal errors whose correlation falls by e every `length` s; independent ones for 0."""
-    if length == 0:
-        return rng.normal(size=rows)
-    a, x = np.exp(-STEP / length), np.empty(rows)
-    x[0] = rng.normal()
-    for k in range(1, rows):
-        x[k] = a * x[k - 1] + np.sqrt(1 - a * a) * rng.normal()
-    return x
-
-
 def _standing(rng, rows, length, sigma=0.2):
     """A gauge's recording at a known place, with errors that last."""
-    values = sigma * _errors(rng, rows, length)[:, None]
+    values = sigma * _gauss_markov(rng, rows, 1.0, length)[:, None]
     made = recording(STEP * np.arange(rows), {"gauge": (values, np.ones_like(values, bool))}, [0.0], [[1e-8]])
     return Recording(made.times, made.readings, made.inputs)
 
@@ -104,7 +95,7 @@ def _standing(rng, rows, length, sigma=0.2):
 @pytest.mark.parametrize("length", [0.5, 2.0])
 def test_the_inflation_of_squared_gauss_markov_errors_is_that_of_their_autocorrelation(length):
     rng, rows = np.random.default_rng(1), 200_000
-    scores = _errors(rng, rows, length) ** 2 - 1
+    scores = _gauss_markov(rng, rows, 1.0, length) ** 2 - 1
     times = STEP * np.arange(rows) + 0.01
     # squares are correlated by ρ²; over a window of m rows the inflation is 1 + 2 Σ (1 − k/m) ρ^2k
     m = 100

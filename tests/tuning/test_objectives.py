@@ -90,14 +90,6 @@ def test_recordings_of_many_lengths_at_once_give_the_figure_of_their_separate_su
         np.testing.assert_allclose(other[1], gradient, rtol=1e-9, atol=1e-14)
 
 
-def test_padding_changes_no_figure(recordings):
-    objective = NegativeLogLikelihood()
-    value, gradient, _ = _figures(recordings, objective)
-    more, more_gradient, _ = _figures(recordings, objective, rows=40)
-    assert more == value
-    np.testing.assert_array_equal(more_gradient, gradient)
-
-
 def test_a_recording_without_a_single_reading_says_nothing_and_spoils_no_gradient(recordings):
     r = recordings[0]
     silent = walks([9], seed=1, missing=1.0)[0]

@@ -35,9 +35,3 @@ def test_the_penalty_is_the_negative_log_density_with_its_derivatives():
     for k, v in enumerate(vectors):
         numeric = [(_density(v - s) - _density(v + s)) / 2e-5 for s in 1e-5 * np.eye(10)]
         np.testing.assert_allclose(found.gradients[k], numeric, atol=1e-7)
-
-
-def test_a_flat_prior_has_no_penalty():
-    found = Prior.of(PARAMETERS, "flat").penalty(np.full((1, 10), 7.0))
-    assert not found.values.any()
-    assert not found.gradients.any()

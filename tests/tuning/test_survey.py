@@ -106,14 +106,6 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     assert (flat.positions[0, :2] == 0.0).all()
 
 
-@pytest.mark.slow
-def test_anchors_that_define_the_height_zero_have_no_other_side():
-    (folder,) = simulated_site(0, (0.5,), 0.0)[0]
-    found = survey(replace(folder, rig=Rig(folder.name)), frame=("A03", "A07", "A00"))
-    assert (found.positions[[0, 3, 7], 2] == 0.0).all()
-    assert not found.mirrored[[0, 3, 7]].any()
-
-
 def test_the_third_anchor_of_the_frame_is_the_first_that_stands_aside():
     anchors = np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 2.0], [5.0, 0.01, 2.0], [5.0, 4.0, 2.0]])
     chosen, places = triangle("ABCD", (), anchors, 3)

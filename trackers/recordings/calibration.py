@@ -1,8 +1,8 @@
 """Calibrations: the systematic errors of stations and anchors, with their covariances, and their file calibration.toml.
 
 A station measures each angle a as offset + gain·a + cubic·a³ + cross·a·b, where b is the other angle, both in its array
-frame. An anchor measures the distance d of a tag as d + bias + slope·d + the tag's bias. A range difference is the
-distances' plus the bias of the first anchor less the second's. The fit is in `tuning/calibrating.py`.
+frame. An anchor measures the distance d of a tag as d + bias + slope·d + the tag's bias. The fit is in
+`tuning/calibrating.py`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import tomli_w
 from jaxtyping import Float
 from pydantic import BeforeValidator, Field
 
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Point, Rig, Station
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
 from trackwright.trackers.recordings.input_file import AS_FILE, NUMBERS, Count, Number, Positive, read_model
@@ -139,50 +138,11 @@ class TagCalibration:
 
 
 @dataclass(frozen=True)
-class DifferenceCalibration:
-    """The biases of times of arrival at anchors, as lengths, of which range differences have the difference.
-
-    `biases` (A,) m, of `anchors`, relative to their mean; `covariance` (A, A) m². `positions` (A, 3) m: where they
-    stood. `rows` (A,): the differences of each in the fit. `spread`: the scale of Student's t of the errors that the
-    biases leave in differences, m.
-    """
-
-    __pydantic_config__: ClassVar = AS_FILE
-
-    anchors: tuple[str, ...]
-    biases: Annotated[Float[np.ndarray, " A"], NUMBERS]
-    covariance: Annotated[Float[np.ndarray, "A A"], NUMBERS]
-    positions: Annotated[Float[np.ndarray, "A 3"], NUMBERS]
-    rows: tuple[Count, ...]
-    spread: Number
-
-    def __post_init__(self) -> None:
-        lengths = {len(x) for x in (self.anchors, self.biases, self.covariance, self.positions, self.rows)}
-        if len(lengths) > 1 or len({*self.anchors}) < len(self.anchors):
-            raise UnusableInput(f"anchors = {list(self.anchors)}, expected each once, with one of all other entries")
-
-    def __contains__(self, anchor: str) -> bool:
-        return anchor in self.anchors
-
-    def of(self, anchors: Sequence[str]) -> DifferenceCalibration:
-        """The part on some of its anchors."""
-        part = [self.anchors.index(name) for name in anchors]
-        covariance, rows = self.covariance[np.ix_(part, part)], tuple(self.rows[k] for k in part)
-        return DifferenceCalibration(
-            tuple(anchors), self.biases[part], covariance, self.positions[part], rows, self.spread
-        )
-
-
-NO_DIFFERENCES = DifferenceCalibration((), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3)), (), 0.0)
-"""Range differences without systematic errors."""
-
-
-@dataclass(frozen=True)
 class Calibration:
     """Systematic errors of stations, anchors and tags by their ids; `recordings`: their names in the fit.
 
     `range_spread`: how far the ranges of the fit scatter about it, m: the scale of Student's t, root mean square over
-    the anchors; None without anchors. `differences`: the biases of anchors in range differences.
+    the anchors; None without anchors.
     """
 
     __pydantic_config__: ClassVar = AS_FILE
@@ -192,12 +152,10 @@ class Calibration:
     tags: Mapping[str, TagCalibration] = field(default_factory=dict)
     recordings: tuple[str, ...] = ()
     range_spread: Positive | None = None
-    differences: DifferenceCalibration = NO_DIFFERENCES
 
     def at_rest(self, rig: Rig) -> Calibration:
         """The calibration of those stations and anchors of a rig that stand where they stood."""
         places, there = rig.anchors, rig.stations
-        before = zip(self.differences.anchors, self.differences.positions, strict=True)
         anchors = {
             name: anchor
             for name, anchor in self.anchors.items()
@@ -208,8 +166,7 @@ class Calibration:
             for name, station in self.stations.items()
             if name in there and (station.mounted is None or not has_turned(station.mounted, there[name]))
         }
-        unmoved = [name for name, place in before if name in places and not has_moved(place, places[name])]
-        return replace(self, stations=stations, anchors=anchors, differences=self.differences.of(unmoved))
+        return replace(self, stations=stations, anchors=anchors)
 
     def of_bearings(
         self, stations: Sequence[str], number: np.ndarray, measured: np.ndarray
@@ -244,19 +201,6 @@ class Calibration:
         distances = (measured - bias - tag_bias) / (1.0 + slope)
         variances = tag_variance + _variances(range_terms(distances), [x.covariance for x in of], number)
         return distances, variances / (1.0 + slope) ** 2
-
-    def of_differences(
-        self, anchors: Sequence[str], number: np.ndarray, measured: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The differences of distances (N,), m, of range differences (N,) to `anchors[number]` (N, 2).
-
-        Also the variances that the uncertainty of the biases adds (N,), m². An anchor without a calibration has none.
-        """
-        known = self.differences
-        signs = np.array([[name == other for other in known.anchors] for name in anchors], float)
-        signs = signs.reshape(len(anchors), len(known.anchors))
-        factors = signs[number[:, 0]] - signs[number[:, 1]]
-        return measured - factors @ known.biases, np.einsum("ni,ij,nj->n", factors, known.covariance, factors)
 
 
 def _variances(factors: np.ndarray, covariances: Sequence[np.ndarray], number: np.ndarray) -> np.ndarray:
@@ -303,10 +247,7 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
     def given(table: Mapping[str, Any]) -> dict[str, Any]:
         return {key: given(x) if isinstance(x, Mapping) else x for key, x in table.items() if x is not None}
 
-    content = asdict(calibration)
-    if not calibration.differences.anchors:
-        del content["differences"]
-    text = COMMENT + tomli_w.dumps({"format": FORMAT, **json.loads(json_text(given(content)))})
+    text = COMMENT + tomli_w.dumps({"format": FORMAT, **json.loads(json_text(given(asdict(calibration))))})
     return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 

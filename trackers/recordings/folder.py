@@ -88,7 +88,7 @@ class RecordingFolder:
 
     `path`: the folder it was read from, None for one made in memory. `tables`: by name, with t_s and values as Float64,
     ids as String, null where a value is missing. `notices`: one line for each anomaly found while reading.
-    `calibration`: the systematic errors that trackers remove from bearings, ranges, tdoa; the tables are as measured.
+    `calibration`: the systematic errors that trackers remove from bearings and ranges; the tables are as measured.
     `average_s`: interval, s, over which its readings are averages; None where trackers are to average of themselves.
     `origin`: x and y, m, in the recording as it was read, of the point from which positions are given.
     `unaveraged`: the recording that they are averages of, None for readings as they were.
@@ -151,7 +151,7 @@ class RecordingFolder:
     def uncalibrated(self) -> list[str]:
         """Stations with bearings and anchors with ranges that the calibration lacks, in words; all without one."""
         return [
-            f"{kind.noun} {name}" + (f" of {table}" if kind.difference else "")
+            f"{kind.noun} {name}"
             for table, kind in KINDS.items()
             if kind.calibrated is not None and table in self.tables
             for name in sorted({*chain(*(self.tables[table][of].cast(pl.String).unique() for of in kind.sensors))})

@@ -110,7 +110,7 @@ class Kind:
     numbered: bool = False
     attitude: bool = False
     difference: bool = False
-    calibrated: Literal["stations", "anchors", "differences"] | None = None
+    calibrated: Literal["stations", "anchors"] | None = None
 
     def __post_init__(self) -> None:
         units = "_m, _rad, _mps, _mps2 or _radps"
@@ -299,7 +299,6 @@ _KINDS = (
         lambda positions, sensors: -np.diff(sensors.distances(positions), axis=1),
         averaged=True,
         difference=True,
-        calibrated="differences",
     ),
     Kind("fixes", _POSITION, (), lambda positions, sensors: positions, averaged=True),
     Kind(

@@ -45,16 +45,12 @@ BLOCK = 4096
 def difference_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's range differences, one row per message, with the inputs `pairs`, `pair`, `nearby` and `room`.
 
-    Differences that the triangle inequality rules out are masked. Where the folder has a calibration, they are without
-    the biases of their anchors, and have the variance that these add.
+    Differences that the triangle inequality rules out are masked.
     """
     rows, anchors = folder.rows(TDOA), anchor_positions(folder)
     values, seen = rows.values(["range_difference_m"])
     variances = rows.variances(["range_difference_std_m"])
     number = anchor_pairs(folder, rows)
-    if folder.calibration is not None:
-        corrected, added = folder.calibration.of_differences(sorted(folder.rig.anchors), number, values[:, 0])
-        values, variances = np.where(seen, corrected[:, None], 0.0), variances + added[:, None]
     apart = np.linalg.norm(anchors[number[:, 0]] - anchors[number[:, 1]], axis=1)
     seen &= ((apart > 0.0) & (np.abs(values[:, 0]) <= apart + BEYOND))[:, None]
     slot, message, starts = messages(rows)

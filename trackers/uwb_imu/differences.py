@@ -6,7 +6,6 @@ of arrival, and errors of differences with a common anchor are correlated.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from itertools import combinations
 from typing import Any, ClassVar
@@ -32,8 +31,7 @@ from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackwright.trackers.parts.fixes import correlated
 from trackwright.trackers.parts.ranges import bias_in
-from trackwright.trackers.recordings.calibration import Calibration
-from trackwright.trackers.uwb_imu.fusion import LASTING, MAX_BIASES, REACH
+from trackwright.trackers.uwb_imu.fusion import MAX_BIASES, REACH
 
 TDOA = "tdoa"
 
@@ -139,13 +137,3 @@ def difference_tracker(
         BiasedStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases),
         track_loss=TrackScorePolicy(REACH, "m"),
     )
-
-
-def difference_levels(calibration: Calibration | None) -> dict[str, float]:
-    """The noise levels of `difference_tracker`, by name, at a site with this calibration; none where it has no biases.
-
-    As of ranges; a difference has the errors of two times of arrival.
-    """
-    if calibration is None or not calibration.differences.anchors:
-        return {}
-    return {"sigma_bias": calibration.differences.spread / math.sqrt(2.0), **LASTING}

@@ -15,7 +15,6 @@ from trackwright.trackers.core.data.recording import Columns, Readings
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.parts.range_rows import (
     CARRIER,
     anchor_positions,
@@ -39,7 +38,7 @@ from trackwright.trackers.recordings.trajectories import (
 )
 from trackwright.trackers.uwb_imu.body import LASTS, ODOMETRY, Wheels, body_tracker, odometry_inputs
 from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories, lacks_differences
-from trackwright.trackers.uwb_imu.differences import TDOA, difference_levels, difference_tracker
+from trackwright.trackers.uwb_imu.differences import TDOA, difference_tracker
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker, inertial_tracker
 from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
@@ -394,10 +393,7 @@ def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:
 
 
 def _inertial_of_differences(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    levels = difference_levels(trajectory.folder.calibration)
-    drift = BiasDrift(**levels) if levels else None
-    tracker = inertial_difference_tracker(_anchors(trajectory), _slots(trajectory), planar, drift=drift)
-    return replace(tracker, lasting_errors=not levels)
+    return replace(inertial_difference_tracker(_anchors(trajectory), _slots(trajectory), planar), lasting_errors=True)
 
 
 def _slots(trajectory: Trajectory) -> int:
@@ -406,9 +402,8 @@ def _slots(trajectory: Trajectory) -> int:
 
 def tracker_of_differences(trajectory: Trajectory, planar: bool, together: int = 8) -> Tracker:
     """The tracker of a trajectory's range differences, with `bias_slots`."""
-    levels = difference_levels(trajectory.folder.calibration)
-    tracker = difference_tracker(bias_slots(trajectory, together), _slots(trajectory), planar, **levels)
-    return replace(tracker, lasting_errors=not levels)
+    tracker = difference_tracker(bias_slots(trajectory, together), _slots(trajectory), planar)
+    return replace(tracker, lasting_errors=True)
 
 
 _trilateration = partial(
@@ -457,11 +452,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         trajectories=difference_trajectories,
         build=tracker_of_differences,
         lacks=lacks_differences,
-        geometry=lambda trajectory: (
-            bias_slots(trajectory),
-            _slots(trajectory),
-            *difference_levels(trajectory.folder.calibration).values(),
-        ),
+        geometry=lambda trajectory: (bias_slots(trajectory), _slots(trajectory)),
     ),
     "tdoa-imu": partial(
         TrackerSpec,
@@ -469,11 +460,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_inertial_of_differences,
         notices=partial(tilting_tags, read=TDOA, without=TDOA),
         lacks=lacks_differences_or_imu,
-        geometry=lambda trajectory: (
-            _anchors(trajectory),
-            _slots(trajectory),
-            *difference_levels(trajectory.folder.calibration).values(),
-        ),
+        geometry=lambda trajectory: (_anchors(trajectory), _slots(trajectory)),
     ),
     "multilateration": partial(
         TrackerSpec,

@@ -22,7 +22,7 @@ from trackwright.tuning.parameters import PriorKind
 
 SMOOTHED, OTHER_SITES, LATENCY = " smoothed", "other sites", "*latency*"
 NEVER_SMOOTHED = ("line-grid", "das", "trilateration-compensated")
-CALIBRATED = ("bearings", "uwb", "line-grid", "tdoa")
+CALIBRATED = ("bearings", "uwb", "line-grid")
 
 
 def cases() -> Iterator[Case]:

@@ -9,7 +9,7 @@ from trackwright.tuning.calibration_pairs import Pairs
 
 def _source(true, error, number):
     values = np.asarray(true)[:, None]
-    pairs = Pairs(values, values + np.asarray(error)[:, None], np.zeros((len(true), 3)), number, *[number] * 6)
+    pairs = Pairs(values, values + np.asarray(error)[:, None], np.zeros((len(true), 3)), number, *[number] * 5)
     return Source("anchors", "A", "range", 0, pairs)
 
 

@@ -10,7 +10,6 @@ from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.recordings.calibration import (
     AnchorCalibration,
     Calibration,
-    DifferenceCalibration,
     StationCalibration,
     TagCalibration,
     read_calibration,
@@ -44,14 +43,6 @@ CALIBRATION = Calibration(
     {"1": TagCalibration(0.03, 0.01, 40)},
     ("walk 1", "walk 2"),
     0.0583,
-    DifferenceCalibration(
-        ("A", "B"),
-        np.array([0.02, -0.02]),
-        _covariance(2),
-        np.array([[1.0, 2.0, 2.5], [4.0, 0.0, 2.0]]),
-        (70, 71),
-        0.0625,
-    ),
 )
 
 
@@ -65,10 +56,6 @@ def test_a_calibration_is_read_back_to_the_bit(path):
     assert found.recordings == CALIBRATION.recordings
     assert found.tags == CALIBRATION.tags
     assert found.range_spread == CALIBRATION.range_spread
-    one, other = found.differences, CALIBRATION.differences
-    assert (one.anchors, one.rows, one.spread) == (other.anchors, other.rows, other.spread)
-    for name in ("biases", "covariance", "positions"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     np.testing.assert_array_equal(found.anchors["A"].position, CALIBRATION.anchors["A"].position)
     station, other = found.stations["S 1"].mounted, CALIBRATION.stations["S 1"].mounted
     np.testing.assert_array_equal(station.position, other.position)
@@ -98,8 +85,6 @@ def test_a_calibration_is_read_back_to_the_bit(path):
         ("position = [\n    1.0,", "position = [", "anchors.A.position = [2.0, 2.5], expected numbers of shape 3"),
         ("sigma = 0.01", "sigma = -0.01", "tags.1.sigma = -0.01, expected greater than or equal to 0"),
         ("[stations", "[range_quality]\nslope = 1.0\n\n[stations", "range_quality is no key of it"),
-        ("    70,\n", "", "differences: anchors = ['A', 'B'], expected each once"),
-        ('    "B",\n', '    "A",\n', "differences: anchors = ['A', 'A'], expected each once"),
     ],
 )  # fmt: skip
 def test_other_content_is_refused_in_one_line(path, before, after, words):

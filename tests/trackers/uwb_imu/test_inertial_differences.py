@@ -24,7 +24,6 @@ from trackwright.trackers.uwb_imu.difference_rows import SHARED, correlations
 from trackwright.trackers.uwb_imu.differences import TDOA
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise
-from trackwright.tuning.calibrating import calibrate
 
 ANCHORS = np.array([[0, 0, 0.2], [8, 0, 2.7], [8, 6, 0.3], [0, 6, 2.6]], float)
 PAIRS = np.array([(1, 0), (2, 0), (3, 0)])
@@ -209,13 +208,3 @@ def test_covariances_are_those_of_the_errors_in_worlds_of_its_own_model():
     assert abs(means.mean() - 1.0) < 3.0 * means.std() / np.sqrt(60) + 0.05
     inside = nees(errors[:, late, :2].reshape(-1, 2), estimates.covariance[:, late, :2, :2].reshape(-1, 2, 2)) < 5.991
     assert 0.91 < inside.mean() < 0.98
-
-
-def test_a_calibration_gives_the_biases_that_it_leaves(folder):
-    calibrated = folder.calibrated(calibrate([folder]))
-    (batch,) = build("tdoa-imu", calibrated).batches(calibrated)
-    spread = calibrated.calibration.differences.spread
-    assert float(batch.tracker.motion.drift.sigma_bias.value) == pytest.approx(spread / np.sqrt(2.0))
-    assert float(batch.tracker.motion.drift.time_constant.value) == pytest.approx(5.0)
-    assert not batch.tracker.lasting_errors
-    assert build("tdoa-imu", folder).batches(folder)[0].tracker.lasting_errors

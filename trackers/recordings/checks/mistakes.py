@@ -84,9 +84,11 @@ def changes(view: Compared) -> Iterator[Change]:
     kind, what, noun, true = view.kind, view.kind.name, view.kind.noun, view.moment is None
     order, xyz, other = list(range(len(view.columns))), [0, 1, 2], "the fixes" if view.kind.position else "rig.toml"
     units = UNITS.get(view.columns[0], {-1.0: "of the wrong sign"}).items()
-    tried = [(f"the {what} multiplied by {f:g}", f"{what} are {u}; convert them", "values", order, f) for f, u in units]
+    tried: list[tuple[str, str, str, list[int], Any]] = [
+        (f"the {what} multiplied by {f:g}", f"{what} are {u}; convert them", "values", order, f) for f, u in units
+    ]
     cause = "angles of another convention, or the station turned; correct them"
-    tried += [(words, cause, "values", *change) for words, *change in ANGLES if kind.angles]
+    tried += [(words, cause, "values", columns, factors) for words, columns, factors in ANGLES if kind.angles]
     for f, unit in FACTORS.items() if true else ():
         cause = f"positions in rig.toml in {unit}; convert them"
         tried += [(f"the positions of the {noun}s multiplied by {f:g}", cause, "places", xyz, f)] * bool(kind.sensors)
@@ -163,15 +165,16 @@ def _of_truth(view: Compared) -> Iterator[Change]:
     delays = [[0.0, 0.0, 0.0, 0.0, delay] for delay in sorted(np.arange(-longest, longest, 0.5), key=abs)]
     shifted, turned, large = "shifted by ({1:.2f}, {2:.2f}, {3:.2f}) m and ", "turned by {0:.1f}°, ", [np.inf] * 4
     fix = "import it again with --align-truth, or --transform {1:.3f},{2:.3f},{3:.3f},{0:.3f},{4:.3f}"
-    for how, starts, least, free, mirror in (
+    tried: list[tuple[str, Any, list[float], list[int], int]] = [
         (shifted, places[::24], [np.inf, 0.4, 0.4, 0.4, np.inf], [1, 2, 3], 1),
         (turned + shifted, places, [0.07, *large], [0, 1, 2, 3], 1),
         ("mirrored in y, " + turned + shifted, places, [0.0, *large], [0, 1, 2, 3], -1),
-        *([("", delays, 0.0, [4], 1)] if _moves(view) else []),
-    ):
+        *([("", delays, [0.0] * 5, [4], 1)] if _moves(view) else []),
+    ]
+    for how, starts, least, free, mirror in tried:
         cause = "the truth has another frame than the measurements, or another clock; "
         cause += fix if mirror > 0 else "bring both into one frame"
-        moved, told = (partial(of, mirror=mirror) for of in (apply, shown))
+        moved, told = partial(apply, mirror=mirror), partial(shown, mirror=mirror)
         words = f"the truth {how}{{4:.2f}} s later"
         of = "frame" if how else "delay"
         yield Change(words, cause, moved, False, of, lambda _, s=starts: s, least, free, told)  # type: ignore[misc]
