@@ -297,7 +297,7 @@ def test_of_directions_in_the_plane_of_an_array_the_angle_alone_is_judged():
 
 
 def test_tracks_at_other_times_are_refused_with_both_spans():
-    with pytest.raises(UnusableInput, match=r"recording hall, tag 1, from 100 to 101 s, truth of .* from 0 to 1 s"):
+    with pytest.raises(UnusableInput, match=r"'hall', tag 1, from 100 to 101 s, truth of 'hall', tag 1, from 0 to 1 s"):
         evaluate_table(_tracks([100.0, 101.0], [0.0] * 2), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
 
 

@@ -110,7 +110,7 @@ def test_losses_speak_where_the_innovations_are_as_expected():
     evaluation = Evaluation.of(scored_rows(tracks, {}))
     # Nine losses with a start after them, and the last at the end of the rows.
     assert (evaluation.overall["losses"], evaluation.overall["lost_s"]) == (10, pytest.approx(9 * 0.05))
-    (first,) = evaluation.statements
+    first, _ = evaluation.statements
     assert first.startswith("Tracks were lost 10 times, for 0.45 s in all. ")
     assert evaluate_table(tracks, {"hall": truth}).statements[0] == first
     # What is left of a track that starts again in every fifth row has no covariances to judge.
