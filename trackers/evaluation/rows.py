@@ -140,7 +140,7 @@ def _directions(rows: pl.DataFrame, truth: np.ndarray, stations: Stations) -> np
     """The true azimuths and elevations (n, 2), rad, from the station of each row to its true place (n, 3), if known."""
     angles = np.full((len(rows), 2), np.nan)
     known = rows.with_row_index("row").filter(np.isfinite(truth).all(axis=1))
-    for (recording, ident), part in known.group_by("recording", "station"):
+    for (recording, ident), part in known.group_by("recording", "station", maintain_order=True):
         own, at = stations.get(str(recording), {}), part["row"].to_numpy()
         if ident not in own:
             raise UnusableInput(
