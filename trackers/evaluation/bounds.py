@@ -15,8 +15,7 @@ from trackwright.trackers.core.model.tunable import freeze
 from trackwright.trackers.core.run.chunks import as_dtype, called
 from trackwright.trackers.core.run.tracker import Tracker
 
-ROUNDING = 100.0
-"""Relative difference of two equal Jacobians by rounding, in units of the resolution of the floating-point type."""
+ROUNDING = 100.0  # relative difference of equal Jacobians, in units of the resolution of the floating-point type
 
 
 def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.ndarray, "T n"]:
@@ -28,7 +27,8 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
     """
     tracker = as_dtype(tracker, batch.dt.dtype)
     before = jax.tree_util.tree_map(lambda x: np.concatenate([x[:1], x[:-1]]), states)
-    found = called(_terms, tracker, jax.device_put((_rows(batch), before, states)))
+    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
+    found = called(_terms, tracker, jax.device_put((rows, before, states)))
     P, F, Q, information, spread = (np.asarray(x, float) for x in found)
     unlike = np.flatnonzero(spread[1:] > ROUNDING * float(jnp.finfo(batch.dt.dtype).eps))
     if len(unlike):
@@ -42,10 +42,6 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
         P = P @ np.linalg.inv(unit + information[k] @ P)
         covs.append(P := (P + P.T) / 2)
     return np.sqrt(np.maximum(np.diagonal(np.stack(covs), axis1=1, axis2=2), 0))
-
-
-def _rows(batch: Batch) -> Row:
-    return Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
 
 
 def _terms(tracker: Tracker, part: tuple[Row, State, State]) -> tuple[Array, ...]:

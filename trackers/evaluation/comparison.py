@@ -33,8 +33,7 @@ COMPARED = ("rmse_m", "median_m", "p95_m", "rmse_direction_rad", "median_directi
 class Difference(NamedTuple):
     """The second value less the first, its 95 % interval, and the p-value of no difference; NaN where unknown.
 
-    `first`, `second`: the metric of each run over the pieces that both cover. `pieces`: their number. `kind`: in words,
-    what they are; empty for runs that are not paired.
+    `first`, `second`: the metric of each run over the `pieces` that both cover; `kind`: in words, what these are.
     """
 
     first: float

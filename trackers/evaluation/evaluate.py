@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 
     OneOrMore = RecordingFolder | Recording | Iterable[RecordingFolder | Recording]
 
-Metrics = dict[str, Any]
-"""Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
+Metrics = dict[str, Any]  # by name; in lists by recording and by track also `recording`, `tag` and `station`
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,8 +52,6 @@ class Evaluation:
         return cls(is_bearing(rows), metrics(added(recordings, rows.lazy())).row(0, named=True), *levels)
 
     def __getitem__(self, metric: str) -> Any:
-        if metric not in self.overall:
-            raise KeyError(f"no metric '{metric}'; there are {', '.join(self.overall)}")
         return self.overall[metric]
 
     @property
@@ -77,9 +74,8 @@ def evaluate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore
     UnusableInput if no recording has a truth, or no estimate lies inside the truth of its recording and tag, and for
     two folders of one name.
     """
-    recordings = _several(recordings)
-    rows = rows_of(estimates, recordings)
-    refuse_without_overlap(rows, truths_of(recordings))
+    several = _several(recordings)
+    refuse_without_overlap(rows := rows_of(estimates, several), truths_of(several))
     return Evaluation.of(rows)
 
 
@@ -141,29 +137,26 @@ def metric_names(tracks: pl.DataFrame) -> list[str]:
 
 def condition_of(expression: str, names: Sequence[str]) -> pl.Expr:
     """The condition on metrics of these names; raises UnusableInput for a text that is none."""
-    where, used = f"--fail-if '{expression}'", list[str]()
+    problem = "no condition on metrics, expected NAME OPERATOR NUMBER joined by and, or, e.g. p95_m>0.5"
     try:
         condition = pl.sql_expr(expression)
         used = condition.meta.root_names()
-        fits = pl.DataFrame({name: [0.0] for name in used}).select(condition).dtypes == [pl.Boolean] and used
+        if unknown := [name for name in used if name not in names]:
+            problem = f"no metric '{unknown[0]}'{near(unknown[0], names)}"
+        elif used and pl.DataFrame({name: [0.0] for name in used}).select(condition).dtypes == [pl.Boolean]:
+            return condition
     except pl.exceptions.PolarsError:
-        fits = False
-    if unknown := [name for name in used if name not in names]:
-        raise UnusableInput(f"{where}: no metric '{unknown[0]}'{near(unknown[0], names)}; names: {', '.join(names)}")
-    if not fits:
-        fix = "expected NAME OPERATOR NUMBER joined by and, or, e.g. p95_m>0.5"
-        raise UnusableInput(f"{where}: is no condition on metrics; {fix}; names: {', '.join(names)}")
-    return condition
+        pass
+    raise UnusableInput(f"--fail-if '{expression}': {problem}; names: {', '.join(names)}")
 
 
 def violation(evaluation: Evaluation, expression: str) -> str | None:
     """The condition and its metrics, None where it is false; raises UnusableInput for a metric without a value, too."""
-    condition, overall = condition_of(expression, list(evaluation.overall)), evaluation.overall
+    overall = evaluation.overall
+    condition = condition_of(expression, [*overall])
     values = {name: overall[name] for name in condition.meta.root_names()}
     if lacking := [name for name, value in values.items() if value is None]:
-        present = ", ".join(key for key, value in overall.items() if value is not None)
-        words = f"'{lacking[0]}' has no value for these tracks; metrics with a value: {present}"
-        raise UnusableInput(f"--fail-if '{expression}': {words}")
+        raise UnusableInput(f"--fail-if '{expression}': '{lacking[0]}' has no value for these tracks; name another")
     if not pl.DataFrame([values]).select(condition).item():
         return None
     return f"{expression} ({', '.join(f'{name} is {value:.6g}' for name, value in values.items())})"

@@ -19,9 +19,9 @@ from trackwright.trackers.evaluation.rows import WHY
 class Metric(NamedTuple):
     """A metric: its name, what it is in words, its unit, and its expression over the sums of groups of rows.
 
-    `unit`: m, m², rad, s, rows, nats, % of a share, or none. `short`: the heading of its column in tables, in up to two
-    lines; without one, files alone have it. `rank`: of a table too wide for the terminal, the columns of the highest
-    rank are left out first. `page`: whether the page of `track` has it. `right`: its value for right covariances.
+    `unit`: m, m², rad, s, rows, nats, % of a share, or none. `short`: the heading of its column in tables; without one,
+    files alone have it. `rank`: of a table too wide for the terminal, the highest are left out first. `page`: whether
+    the page of `track` has it. `right`: its value for right covariances.
     """
 
     name: str
@@ -61,19 +61,12 @@ ERROR_KINDS = {"m": "", "3d_m": "in 3-D", "heading_rad": "of heading", "azimuth_
                "elevation_rad": "of elevation", "direction_rad": "of direction"}  # fmt: skip
 """The kinds of errors by the suffix of the names of their metrics, with the words after a statistic's."""
 
-SHARES = {"median": (0.5, "median error"), "p90": (0.9, "90th percentile"), "p95": (0.95, "95th percentile"),
-          "p99": (0.99, "99th percentile")}  # fmt: skip
-"""The quantiles of errors that are metrics."""
-
-LEVELS = (50, 68, 90, 95, 99)
-"""Levels, %, of the ellipses whose share of the truth is a metric."""
-
+SHARES = {"median": 0.5, "p90": 0.9, "p95": 0.95, "p99": 0.99}  # the quantiles of errors that are metrics
+LEVELS = (50, 68, 90, 95, 99)  # levels, %, of the ellipses whose share of the truth is a metric
 BIASES = {"x_m": "m", "y_m": "m", "z_m": "3d_m", "azimuth_rad": "azimuth_rad", "elevation_rad": "elevation_rad"}
 """The kind of errors whose rows count for the bias of a component."""
 
-UNCERTAIN = 3.0
-"""The band belongs to n²/(n + 3) samples: n itself is estimated, which matters below some 20 samples."""
-
+UNCERTAIN = 3.0  # the band belongs to n²/(n + 3) samples: n itself is estimated, which matters below some 20 samples
 C, MEASURED = pl.col, pl.col("nis").is_finite() & (pl.col("nis_dof") > 0)
 
 
@@ -119,7 +112,7 @@ TERMS = {
 LARGEST = {f"largest {kind}": C(f"size_{kind}").max() for kind in ERROR_KINDS}
 """Largest values of groups of rows, by name."""
 
-QUANTILES = {f"{p} {kind}": C(f"size_{kind}").quantile(p, "linear") for kind in ERROR_KINDS for p, _ in SHARES.values()}
+QUANTILES = {f"{p} {kind}": C(f"size_{kind}").quantile(p, "linear") for kind in ERROR_KINDS for p in SHARES.values()}
 """Quantiles of groups of rows, by share and kind of error."""
 
 Frame = TypeVar("Frame", pl.DataFrame, pl.LazyFrame)
@@ -161,13 +154,10 @@ def _of_kind(kind: str) -> Iterator[Metric]:
     """The statistics of the sizes of errors of a kind."""
     n, total, squares = (C(f"{term} {kind}") for term in ("n", "sum", "squares"))
     statistics = {"rmse": ("RMSE", (squares / n).sqrt()), "mean": ("mean error", total / n)}
-    statistics |= {name: (words, C(f"{share} {kind}")) for name, (share, words) in SHARES.items()}
+    statistics |= {name: (f"{100 * p:.0f}th percentile", C(f"{p} {kind}")) for name, p in SHARES.items()}
+    statistics["median"] = "median error", statistics["median"][1]
     for name, (words, expr) in (statistics | {"max": ("largest error", C(f"largest {kind}"))}).items():
-        yield Metric(f"{name}_{kind}", f"{words} {ERROR_KINDS[kind]}".strip(), _unit(kind), expr)
-
-
-def _unit(kind: str) -> str:
-    return kind.rpartition("_")[2]
+        yield Metric(f"{name}_{kind}", f"{words} {ERROR_KINDS[kind]}".strip(), kind.split("_")[-1], expr)
 
 
 def _consistency(name: str, dof: int) -> Iterator[Metric]:
@@ -214,7 +204,7 @@ METRICS = {
         Metric("n_hole", "rows in gaps of the truth", "rows", C("n_hole")),
         *(metric for kind in ERROR_KINDS for metric in _of_kind(kind)),
         Metric("variance_m2", "variance of the error", "m²", C("squares m") / C("n m") - (C("sum m") / C("n m")) ** 2),
-        *(Metric(f"bias_{x}", f"bias {ERROR_KINDS.get(x, f'in {x[0]}')}", _unit(x), C(f"bias {x}") / C(f"n {kind}"))
+        *(Metric(f"bias_{x}", f"bias in {x.split('_')[0]}", x.split("_")[1], C(f"bias {x}") / C(f"n {kind}"))
           for x, kind in BIASES.items()),
         *_consistency("nees", 2),
         *_consistency("nees_3d", 3),

@@ -15,18 +15,14 @@ from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.recordings.columns import TruePaths, TruthStatus, float_column, require_columns
 from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, track_keys
 
-Stations = Mapping[str, Mapping[str, Station]]
-"""By recording, its stations by id."""
-
+Stations = Mapping[str, Mapping[str, Station]]  # by recording, its stations by id
 WHY = {TruthStatus.NO_ESTIMATE: "no estimate", TruthStatus.NO_TRUTH: "no truth", TruthStatus.HOLE: "hole"}
 """Why a row is not scored, in the column `why`."""
 
 AXES = ("x_m", "y_m", "z_m")
 ANGLES = ("azimuth_rad", "elevation_rad")
 
-WINDOW = 3.0
-"""Lags up to which the autocorrelation is summed, in correlation times of the sum so far."""
-
+WINDOW = 3.0  # lags up to which the autocorrelation is summed, in correlation times of the sum so far
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 TANGENTS = np.tan(np.pi / 4 * (1 + NODES))
 CHUNK = 2_000  # rows whose energy scores are computed together: their numbers fit the processor's cache
@@ -37,12 +33,11 @@ def scored_rows(
 ) -> pl.DataFrame:
     """The estimates, sorted by recording, tag, station and time, with these columns; null where they are not known.
 
-    `track`: number of the track. `why`: null in scored rows. `true_x_m` …: the truth, linearly interpolated; there is
-    none outside its span, nor in a hole (see `TruePaths`). `error_x_m` …, m, or `error_azimuth_rad` …: estimate less
-    truth. `size_m` …: size of the error by kind (`metrics.ERROR_KINDS`). `nees` of the horizontal position or of both
-    angles, infinite for a singular covariance, with `density` (log density of the truth, nats), `energy` (energy
-    score, m) and `slow` (rows with the information of one); the same in space with the ending `_3d`. `slow_nis`.
-    `step_s`: until the next row; `lost`; `losses`: times lost.
+    `track`: its number. `why`: null in scored rows. `true_x_m` …: the truth, linearly interpolated; none outside its
+    span, nor in a hole (see `TruePaths`). `error_x_m` …, m, or `error_azimuth_rad` …: estimate less truth. `size_m` …:
+    size of the error by kind. `nees` of the horizontal position or of both angles, infinite for a singular covariance,
+    with `density` (log density of the truth, nats), `energy` (energy score, m) and `slow` (rows with the information of
+    one); in space with the ending `_3d`. `slow_nis`. `step_s`: until the next row; `lost`; `losses`: times lost.
 
     `tracks`: the columns of tracks.parquet. `truths`: by recording, a table of t_s, tag, x_m, y_m and optionally z_m.
     `stations`: required for scored bearings. Raises UnusableInput for a missing column or station.
@@ -57,14 +52,14 @@ def scored_rows(
         usable &= ~rows["status"].is_in(NO_ESTIMATE).fill_null(False).to_numpy()
     truth, headings, status = _truth(rows, truths, track, np.where(usable, times, np.nan))
     status = np.where(usable, status, TruthStatus.NO_ESTIMATE)
-    scored, why = status == TruthStatus.SCORED, pl.Series("why", status)
+    scored = status == TruthStatus.SCORED
     columns = {f"true_{axis}": x for axis, x in zip(AXES, truth.T, strict=True)}
-    columns |= _judged(rows, truth, scored, stations or {}, track) | _innovations(rows, track)
-    columns |= _lost(rows, times, track)
+    columns |= _judged(rows, np.where(scored[:, None], truth, np.nan), stations or {}, track)
+    columns |= _innovations(rows, track) | _lost(rows, times, track)
     if HEADING in rows.columns:
         turned = np.abs(wrapped(float_column(rows, HEADING) - headings))
         columns["size_heading_rad"] = np.where(scored, turned, np.nan)
-    why = why.replace_strict(WHY, default=None, return_dtype=pl.String)
+    why = pl.Series("why", status).replace_strict(WHY, default=None, return_dtype=pl.String)
     return rows.with_columns(why, *(pl.Series(name, x, nan_to_null=True) for name, x in columns.items()))
 
 
@@ -144,7 +139,7 @@ def _directions(rows: pl.DataFrame, truth: np.ndarray, stations: Stations) -> np
     """The true azimuths and elevations (n, 2), rad, from the station of each row to its true place (n, 3), if known."""
     angles = np.full((len(rows), 2), np.nan)
     known = rows.with_row_index("row").filter(np.isfinite(truth).all(axis=1))
-    for (recording, ident), part in known.group_by("recording", "station"):
+    for (recording, ident), part in known.group_by("recording", "station", maintain_order=True):
         own, at = stations.get(str(recording), {}), part["row"].to_numpy()
         if ident not in own:
             raise UnusableInput(
@@ -155,12 +150,10 @@ def _directions(rows: pl.DataFrame, truth: np.ndarray, stations: Stations) -> np
     return angles
 
 
-def _judged(
-    rows: pl.DataFrame, truth: np.ndarray, scored: np.ndarray, stations: Stations, track: np.ndarray
-) -> dict[str, np.ndarray]:
+def _judged(rows: pl.DataFrame, truth: np.ndarray, stations: Stations, track: np.ndarray) -> dict[str, np.ndarray]:
     """Errors, sizes and consistency of positions, or of azimuth and elevation from a station."""
     bearing = is_bearing(rows)
-    names, truth = ANGLES if bearing else AXES, np.where(scored[:, None], truth, np.nan)
+    names = ANGLES if bearing else AXES
     estimates = np.stack([float_column(rows, name) for name in names], axis=1)
     if bearing:
         errors, sizes = bearing_sizes(estimates, _directions(rows, truth, stations))
@@ -278,21 +271,17 @@ def _mean_norm(volume: Float[np.ndarray, "3 n"], size: Float[np.ndarray, "3 n"])
 
 
 def refuse_without_overlap(rows: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> None:
-    """Raises UnusableInput, with the recordings, tags and times of both, where no row is scored against a truth."""
+    """Raises UnusableInput, with a recording, its tags and times of both, where no row is scored against a truth."""
     if truths and not is_scored(rows).any():
-        named = (
-            table.with_columns(tag=pl.col("tag").cast(pl.String), recording=pl.lit(n)) for n, table in truths.items()
-        )
-        truth = pl.concat(table.select("recording", "tag", "t_s") for table in named)
         known = rows.filter(pl.col("why") != "no estimate")
+        tracked = (known if len(known) else rows)["recording"][0]
+        name = tracked if tracked in truths else next(iter(truths))
         raise UnusableInput(
-            f"no estimate lies inside a truth: estimates of {_about(known)}, truth of {_about(truth)}; expected the "
-            "same recording and tag, and times inside those of the truth; compare names, tag ids and clocks"
+            f"no estimate lies inside a truth: estimates of {_about(tracked, known.filter(recording=tracked))}, truth "
+            f"of {_about(name, truths[name])}; expected the same recording, tag and time; compare names, ids, clocks"
         )
 
 
-def _about(table: pl.DataFrame) -> str:
-    names = (listed(sorted(table[name].unique().cast(pl.String))) or "none" for name in ("recording", "tag"))
-    times = float_column(table, "t_s")
-    when = f"from {span(times.min(), times.max())}" if len(times) else "at no time"
-    return "recording {}, tag {}, ".format(*names) + when
+def _about(name: str, table: pl.DataFrame) -> str:
+    times, tags = float_column(table, "t_s"), listed(sorted(table["tag"].cast(pl.String).unique())) or "none"
+    return f"'{name}', tag {tags}, " + (f"from {span(times.min(), times.max())}" if len(times) else "at no time")

@@ -9,11 +9,9 @@ from typing import Any
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import counted, significant
 
-LEAST_SAMPLES = 8.0
-"""Effective samples below which a recording is too short for a verdict."""
-
-LOST = 0.1
-"""The share of rows in which tracks are lost, start again or have no covariance, beyond which these are not judged."""
+LEAST_SAMPLES, LOST = 8.0, 0.1
+"""Effective samples below which a recording is too short for a verdict; the share of rows that are lost or have no
+covariance beyond which covariances are not judged."""
 
 HOLD, SHORT, SMALL, LARGE = "hold", "too short", "too small", "too large"
 
@@ -26,7 +24,7 @@ def verdict(metrics: Mapping[str, Any], name: str = "nees") -> str | None:
     ratio, end = metrics.get(f"{name}_ratio"), name.removeprefix("nees")
     if ratio is None or (name != "nis" and max(_unknown(metrics, x) for x in ("", end)) > LOST):
         return None
-    if metrics[_samples(name)] < LEAST_SAMPLES:
+    if metrics[f"n_effective_{name}".replace("_nees", "")] < LEAST_SAMPLES:
         return SHORT
     return SMALL if ratio > metrics[f"{name}_high"] else LARGE if ratio < metrics[f"{name}_low"] else HOLD
 
@@ -45,26 +43,20 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
     if losses and max(losses / overall["n_rows"], overall["lost_fraction"]) > LOST:
         return sentences
     if overall["coverage_95"] is None:
-        # What rows between losses look like is no comfort.
-        told = [] if losses and verdict(overall, "nis") in (SHORT, HOLD) else _sentence(overall, "nis")
-        return sentences + told
+        return sentences + _sentence(overall, "nis")
     sentences += _sentence(overall, "nees")
     wrong = [f"{r['recording']} ({_factor(r, 'nees')} {v})" for r in recordings if (v := verdict(r)) in (SMALL, LARGE)]
     if wrong and len(recordings) > 1:
         sentences.append(f"Outside their band: {len(wrong)} of {len(recordings)} recordings, {listed(wrong)}.")
     if verdict(overall, "nees_3d") in (SMALL, LARGE):
         sentences += _sentence(overall, "nees_3d")
-    for end in ("", "_3d")[: 1 + (not _unknown(overall, ""))]:
-        if unknown := _unknown(overall, end):
-            none, zero = (overall[f"n_{what}_covariance{end}"] for what in ("no", "zero"))
-            rows = f"{none} of {overall['n']} rows are without a covariance{' in three dimensions' if end else ''}"
-            judged = "; with more than a tenth, covariances are not judged" if unknown > LOST else ""
-            sentences.append(f"{rows}, {zero} of them with a zero or singular one, which has no truth inside{judged}.")
+    end = "" if _unknown(overall, "") else "_3d"
+    if unknown := _unknown(overall, end):
+        none, zero = (overall[f"n_{what}_covariance{end}"] for what in ("no", "zero"))
+        rows = f"{none} of {overall['n']} rows are without a covariance{' in three dimensions' if end else ''}"
+        judged = "; with more than a tenth, covariances are not judged" if unknown > LOST else ""
+        sentences.append(f"{rows}, {zero} of them with a zero or singular one, which has no truth inside{judged}.")
     return sentences
-
-
-def _samples(name: str) -> str:
-    return f"n_effective_{name}".replace("_nees", "")
 
 
 def _unknown(metrics: Mapping[str, Any], end: str) -> float:
@@ -89,7 +81,8 @@ def _sentence(metrics: Mapping[str, Any], name: str) -> list[str]:
     words = {HOLD: "as those of a perfect filter", SHORT: f"not judged, the recording is {SHORT}"}
     ratio, low, high = (significant(metrics[f"{name}_{x}"], 3) for x in ("ratio", "low", "high"))
     lost = metrics.get(f"regret{name.removeprefix('nees')}")
-    samples = f"{significant(metrics[_samples(name)], 3)} effective samples"
-    figures = f"{name[:4].strip('_').upper()}/dof {ratio}, band {low} to {high} ({samples})"
+    samples = significant(metrics[f"n_effective_{name}".replace("_nees", "")], 3)
+    figures = f"band {low} to {high} ({samples} effective samples)"
     figures += "" if lost is None else f", regret {significant(lost, 2)} nats"
-    return [f"{what} are {words.get(found) or f'{_factor(metrics, name)} {found}'}: {figures}."]
+    judged = words.get(found) or f"{_factor(metrics, name)} {found}"
+    return [f"{what} are {judged}: {name[:4].strip('_').upper()}/dof {ratio}, {figures}."]

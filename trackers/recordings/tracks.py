@@ -162,16 +162,6 @@ def _half_turns(angle: Any) -> np.ndarray:
     return np.asarray(np.pi - (np.pi - np.asarray(angle)) % (2 * np.pi))
 
 
-def from_origins(tracks: pl.DataFrame, batches: Iterable[TrackerBatch]) -> pl.DataFrame:
-    """The estimates with x and y from the origin of the trajectories of their recording in `batches`."""
-    origins = {f.name: f.origin for batch in batches for f in Trajectories.of(batch.trajectories).folders}
-    if "x_m" not in tracks.columns or not any(map(any, origins.values())):
-        return tracks
-    name = pl.col("recording").cast(pl.String)
-    of_rows = (name.replace_strict({key: o[k] for key, o in origins.items()}, default=0.0) for k in range(2))
-    return tracks.with_columns(pl.col(axis) - origin for axis, origin in zip(("x_m", "y_m"), of_rows, strict=True))
-
-
 def angles(estimates: Estimates) -> dict[str, np.ndarray]:
     """Azimuth and elevation; a direction in the array's plane has azimuth ±90° and its spread in the elevation."""
     mean, sigmas = estimates.mean, estimates.sigmas
