@@ -94,7 +94,7 @@ def _paths(truths: Mapping[str, pl.DataFrame]) -> TruePaths:
         known = pl.col("t_s", *(c for c in (*AXES, *QUATERNION) if c in truth.columns)).cast(pl.Float64)
         tag = pl.concat_str(pl.lit(name), pl.col("tag").cast(pl.String), separator="\0").alias("tag")
         tables.append(truth.select(tag, known))
-    return TruePaths.of_table(pl.concat(tables, how="diagonal"), "all") if tables else TruePaths.none()
+    return TruePaths.of_table(pl.concat(tables, how="diagonal"), "all") if tables else TruePaths()
 
 
 def last_of_intervals(times: np.ndarray, scored: np.ndarray, every: float | None, track: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from trackwright.trackers.exchange.expressions import Expression, order_in, pars
 from trackwright.trackers.exchange.text_tables import Reading, read_json, read_rows
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.input_file import file_bytes, read_model
-from trackwright.trackers.recordings.kinds import layout, table_kinds
+from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.tables import TableFile
 
 PRESETS = {path.stem: path for path in (Path(__file__).parent / "presets").glob("[!_]*.toml")}
@@ -136,12 +136,12 @@ class Source:
         shared, tables, known = by_sensor.pop(None), [], dict[Expression, pl.Series]()
         for sensor, own in (by_sensor or {None: {}}).items():
             columns = _complete(file, mapping, shared | own, sensor)
-            ids = layout(name, [*columns]).ids
+            ids = table_kinds()[name].layout([*columns]).ids
             known |= {e: e.ids(file) if n in ids else e.numbers(file) for n, e in columns.items() if e not in known}
             table = pl.DataFrame({n: known[e] for n, e in columns.items()})
             tables.append(table.with_columns(pl.int_range(pl.len()).alias(ORIGIN) + len(self.parts) * 2**40))
             self.parts.append((file, {n: "+".join(e.sources) or e.text for n, e in columns.items()}))
-        table, wanted = pl.concat(tables), layout(name, tables[0].columns)
+        table, wanted = pl.concat(tables), table_kinds()[name].layout(tables[0].columns)
         filled = table.filter(pl.any_horizontal(pl.col(wanted.values).is_not_null()))
         if len(filled) < len(table):
             notices.append(f"{counted(len(table) - len(filled), 'row')} without a value left out")
@@ -233,7 +233,7 @@ def spelled_out(mapping: TableMapping, names: Sequence[str]) -> TableMapping:
 
 def _asked(file: TableFile, mapping: TableMapping, named: set[str]) -> pl.Series:
     """Whether a mapping asks for each row; where one of several tables side by side ends, rows are empty."""
-    wanted, frame = layout(mapping.table, file.frame.columns), file.frame
+    wanted, frame = table_kinds()[mapping.table].layout(file.frame.columns), file.frame
     used = [n for n in frame.columns if n in named | {"t_s", *wanted.ids, *wanted.values}] or frame.columns
     full = [pl.col(n) != "" if frame[n].dtype == pl.String else pl.col(n).is_not_null() for n in used]
     asked = frame.select(asked=pl.any_horizontal(full).fill_null(False))["asked"]
@@ -248,7 +248,7 @@ def _complete(
 ) -> dict[str, Expression]:
     """The expressions of all columns of a table, of one sensor or of all; raises UnusableInput for one that lacks."""
     present, table = file.frame.columns, mapping.table
-    wanted = layout(table, [*expressions, *(name for name in present if name not in expressions)])
+    wanted = table_kinds()[table].layout([*expressions, *(name for name in present if name not in expressions)])
     own = expressions.get("tag", Expression("tag", "tag", ("tag",)))
     given, column = mapping.tag or own.constant, next(iter(own.sources), "tag")
     texts = {*texts_of(file.frame[column])} - {None, ""} if given and column in present else set()

@@ -18,7 +18,7 @@ from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.exchange.expressions import sensor_of
 from trackwright.trackers.exchange.mapping import Asked, Source, TableMapping, read_mapping, spelled_out
 from trackwright.trackers.recordings.input_file import file_bytes
-from trackwright.trackers.recordings.kinds import layout
+from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.tables import TableFile
 
 MESSAGES = Path(__file__).parent / "presets" / "_messages.toml"  # standard ones, by their type in place of a topic
@@ -79,7 +79,7 @@ def _columns(reader: Any, path: Path, mapping: TableMapping, connections: Any) -
     if others:
         raise UnusableInput(f"{topic} has messages of {listed([kind, *others])}; expected one type")
     paths = list(_paths(reader.typestore.fielddefs, kind))
-    mapping, fields, wanted = spelled_out(mapping, paths), listed(paths, 24), layout(mapping.table, ())
+    mapping, fields, wanted = spelled_out(mapping, paths), listed(paths, 24), table_kinds()[mapping.table].layout(())
     for one in read_mapping(MESSAGES).tables:
         if one.topic == kind and one.table in (mapping.table, "truth" if mapping.table == "fixes" else ""):
             standard = {"t_s": "header.stamp", **spelled_out(one, paths).columns}

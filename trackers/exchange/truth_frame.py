@@ -157,7 +157,7 @@ def _standard_errors(view: Compared, errors: Callable[[np.ndarray], np.ndarray],
     weights = np.where(known, cauchy_weights(np.nan_to_num(e), size), 0.0)
     slopes = np.where(known[..., None], slopes, 0.0)
     pulls = np.stack([(weights[..., None] * slopes)[view.group == k].sum(axis=0) for k in range(groups)])
-    pulls = np.concatenate([pulls, pulls.sum(axis=0, keepdims=True)]) if view.kind.distance else pulls
+    pulls = np.concatenate([pulls, pulls.sum(axis=0, keepdims=True)]) if view.kind.columns[0].positive else pulls
     scatter = np.einsum("gci,gcj,c->ij", pulls, pulls, bias**2)
     scatter += np.einsum("nc,nci,ncj,c->ij", weights**2, slopes, slopes, size**2)
     inverse = np.linalg.pinv(np.einsum("nc,nci,ncj->ij", weights, slopes, slopes))

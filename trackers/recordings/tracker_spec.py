@@ -19,8 +19,7 @@ from trackwright.trackers.core.user_file import fault_of, split_name
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_height
 
-Key = tuple[bool, Hashable]
-"""Whether the state of a batch lies in a plane, and the part of the installation that is built into its tracker."""
+Key = tuple[bool, Hashable]  # whether a batch is planar, and the installation built into its tracker
 
 
 @contextmanager
@@ -40,11 +39,7 @@ def faults_named(tracker: str, name: str, function: Callable[..., Any]) -> Itera
 
 @dataclass(frozen=True)
 class TrackerBatch:
-    """Trajectories that one tracker runs as a batch.
-
-    `planar`: whether the state lies in a plane: the floor at known heights, or a flat array's. `notices`:
-    one line for readings used once, and for what a recording has that its tracker leaves out of account.
-    """
+    """Trajectories that one tracker runs as a batch; `planar`: the state lies in a plane, as of the floor."""
 
     tracker: AbstractTracker
     trajectories: Sequence[Trajectory]
@@ -61,17 +56,13 @@ def at_known_height(trajectory: Trajectory, free_height: bool) -> bool:
 class TrackerSpec:
     """A tracker of the catalogue, or a user's own.
 
-    `about`: one line for lists and help. `table`: the table it reads. `trajectories(folder, free_height)`: the rows of
-    every tag (or of every tag and station) of a recording folder. `build(trajectory, planar)`: the tracker for a
-    trajectory. `lacks(folder)`: what a folder lacks for it, in words, or None where it fits; by default the table.
-    `geometry(trajectory)`: the part of the installation that is built into the tracker; trajectories that agree in
-    it and in `planar` run as one batch. `planar(trajectory, free_height)`: whether the state lies in a plane. Both are
-    asked once for all tags of a folder that share station and known height, where the rows are `Trajectories`.
-    `notices(folder, free_height)`: a line for each tag of which the tracker assumes what the folder contradicts.
-    `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
-    `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so
-    that leaving the path is an event. `every_row`: the tables of which it reads rows that repeat a value, too, since
-    it averages them, counts rows, or estimates each time by itself.
+    `about`: a line for lists. `table`: what it reads. `trajectories(folder, free_height)`: the rows of every tag (and
+    station). `build(trajectory, planar)`: the tracker. `lacks(folder)`: what a folder lacks, in words, or None.
+    `geometry(trajectory)`, `planar(trajectory, free_height)`: the installation built in, and whether the state lies in
+    a plane; trajectories that agree run as one batch; asked once for tags that share station and height.
+    `notices(folder, free_height)`: what it leaves out of account. `automatic(folder)`: it may be chosen unasked.
+    `bearing_only`: it estimates directions. `on_path`: leaving the rig's path is an event. `every_row`: the tables of
+    which it reads rows that repeat a value, too.
     """
 
     about: str
@@ -106,10 +97,7 @@ class TrackerSpec:
         return f"{folder.path or folder.name}: tracker '{name}' needs {missing}; its tables: {', '.join(folder.tables)}"
 
     def batches(self, folders: Sequence[RecordingFolder], name: str, free_height: bool = False) -> list[TrackerBatch]:
-        """The trajectories of all folders, batched where one tracker serves them.
-
-        Raises UnusableInput for a folder that does not fit; `name` is the tracker's in the message.
-        """
+        """The trajectories of all folders, batched by tracker; raises UnusableInput for one that lacks something."""
         grouped: dict[Key, list[Trajectories]] = defaultdict(list)
         for folder in folders:
             if refused := self.refusal(folder, name):
@@ -125,9 +113,6 @@ class TrackerSpec:
         with faults_named(name, "build", self.build):
             built = [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
         for batch in built if split_name(name)[0] else ():
-            if not isinstance(batch.tracker, AbstractTracker):
-                found = type(batch.tracker).__name__
-                raise UnusableInput(f"{name}: build returned {found}; expected a tracker; usual fix: return one")
             with faults_named(name, "run", self.build):
                 check_input(batch.tracker, batch.trajectories[0].recording, name)
         return built

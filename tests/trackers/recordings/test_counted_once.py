@@ -12,8 +12,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 import trackwright as tw
-from trackwright.trackers.recordings.checks.readings import Readings
-from trackwright.trackers.recordings.named_tracker import chance_of_repeat, counted_once, source_repeats
+from trackwright.trackers.recordings.named_tracker import chance_of_repeat, counted_once
 
 IDS, NAMES = ["tag", "anchor"], ["ranges"]
 SIGMA, STEP = "sensors.fixes.sigma_horizontal", 0.3
@@ -46,14 +45,6 @@ def test_rows_that_repeat_a_value_lose_it_and_stay(held):
         assert counted_once(kept, names) == (kept, [])
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_values_that_are_held_on_the_way_to_an_anchor_or_away_from_it_are_told(sign):
-    values = 20.0 + sign * 0.01 * np.repeat(np.cumsum(np.random.default_rng(3).integers(3, 9, 200)), 2)
-    none = np.full((len(values), 1), np.nan)
-    read = Readings(("range_m",), np.zeros(400, int), 0.1 * np.arange(400), np.round(values[:, None], 2), none)
-    assert source_repeats(read)
-
-
 def test_estimates_are_those_without_the_rows_that_repeat_and_no_surer_than_their_errors():
     folder, _ = _ranges(0.5)
     named = tw.build("uwb", folder)
@@ -68,13 +59,6 @@ def test_estimates_are_those_without_the_rows_that_repeat_and_no_surer_than_thei
     folder, _ = _ranges(0.6)
     once, often = (tw.evaluate(named.run(f), f).overall for f in (folder, folder.averaged(0)))
     assert once["coverage_95"] > often["coverage_95"] + 0.05
-
-
-def test_trackers_that_count_rows_read_every_row():
-    folder, _ = _ranges(0.5)
-    (batch,) = tw.build("multilateration", folder).batches(folder)
-    assert batch.notices == ()
-    assert all(t.recording.readings["ranges"].seen.any() for t in batch.trajectories)
 
 
 @pytest.mark.parametrize(("sigma", "most"), [(0.5, np.inf), (1.0, 2.5), (3.0, 1.2), (10.0, 1.1)])

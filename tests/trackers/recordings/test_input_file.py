@@ -14,7 +14,7 @@ import pytest
 
 from tests.faulty import RIG, write_good
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import ABANDONED_S, PREFIX, atomic_write, json_text, remove_abandoned
+from trackwright.trackers.recordings.atomic import atomic_write, json_text
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.input_file import read_arrays, read_toml
 from trackwright.trackers.recordings.tracks_table import require_output
@@ -37,16 +37,6 @@ def test_a_failure_leaves_the_old_file_and_no_partial_one(tmp_path, error, raise
     with pytest.raises(raised):
         atomic_write(tmp_path / "out.json", half)
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("out.json", "old")]
-
-
-def test_what_a_killed_process_left_a_day_ago_is_removed_and_nothing_else(tmp_path):
-    for name in (".hidden", "target", f"{PREFIX}new", f"{PREFIX}old"):
-        (tmp_path / name).touch()
-        if name != f"{PREFIX}new":
-            os.utime(tmp_path / name, (0.0, 0.0))
-    assert ABANDONED_S < 1e6
-    remove_abandoned(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".hidden", f"{PREFIX}new", "target"]
 
 
 def test_json_is_strict_and_takes_arrays():

@@ -11,7 +11,6 @@ import pytest
 
 import trackwright as tw
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.events import events_of
 from trackwright.trackers.recordings.checks.rules import check_units
 from trackwright.trackers.recordings.named_tracker import near_origin
 from trackwright.trackers.recordings.tracks import Tracks
@@ -53,18 +52,6 @@ def test_a_site_in_map_coordinates_has_the_errors_of_that_at_the_origin(world, t
         assert other[metric] == pytest.approx(one[metric], rel=1e-3), metric
     if tracker == "uwb":
         assert other["residual_ratio_5s"] == pytest.approx(one["residual_ratio_5s"], rel=1e-3)
-
-
-def test_a_departure_from_the_path_is_an_event_in_map_coordinates_too():
-    folder = tw.simulate.agv(n=1, rows=60, seed=1).folder()
-    away = folder.tables["fixes"].select("x_m", "y_m").mean().row(0)
-    # The vehicle is on a path 5 m beside all of its fixes.
-    knots = np.array([away, away]) + [[-9.0, 5.0], [9.0, 5.0]]
-    folder = _on_the_map(replace(folder, rig=replace(folder.rig, path_knots=knots)))
-    named = tw.build("fix-kf", folder)
-    tracks = named.run(folder)
-    events = events_of(tracks.table, named.spec, tracks.batches)
-    assert "off the prescribed path" in events["event"].to_list()
 
 
 def test_everything_with_a_place_is_about_the_middle_of_the_site_and_recordings_near_zero_stay():

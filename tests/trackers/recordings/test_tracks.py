@@ -7,10 +7,6 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
-from trackwright.experiments.monte_carlo.chunk import tracked_runs
-from trackwright.experiments.monte_carlo.errors import scored
-from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.data.estimates import STEP_COLUMNS, Estimates, Status
 from trackwright.trackers.core.model.algebra import Vector
@@ -81,25 +77,6 @@ def test_a_line_has_each_covariance_once_beside_positions_and_velocities(one_noi
     assert last.select(positions[3:]).row(0) == pytest.approx(np.sqrt(np.diag(cov)), rel=1e-12)
 
 
-def test_evaluate_and_a_study_find_the_same_nis_ratio_and_errors(one_noisy):
-    study = Study(
-        name="noisy",
-        about="",
-        worlds={"hall": World(lambda ids, seed: one_noisy)},
-        trackers={"uwb": TrackerConfig("uwb"), "slow": TrackerConfig("uwb", every=0.7)},
-        runs=2,
-    )
-    tracker, ids = tw.build("uwb", one_noisy), np.array(["a", "b"])
-    for name, every in (("uwb", None), ("slow", 0.7)):
-        evaluation = tw.evaluate(tracker.run(one_noisy), one_noisy, every)
-        totals = Totals(2)
-        totals.add(0, scored(tracked_runs(study, "hall", ids)[name]))
-        results = Results(study, {(0, name): totals}, {0: 2})
-        for metric in ("nis_ratio", "rmse_m", "rmse_3d_m", "nees_mean", "coverage_95"):
-            found = results.at(metric, study.conditions[0], name).value
-            assert found == pytest.approx(evaluation[metric], rel=1e-9), (name, metric)
-
-
 def test_a_track_lost_and_restarted_within_one_time_is_told_by_its_line_and_by_events():
     times = np.concatenate([np.arange(150) * 0.1, 75 + np.arange(150) * 0.1])
     folder = _ranges(times, np.full(8, 0.05))
@@ -115,16 +92,6 @@ def test_a_track_lost_and_restarted_within_one_time_is_told_by_its_line_and_by_e
     assert tracks.summaries == {"lost and re-started": 1}
     events = events_of(tracks.table, spec_of("uwb"), tracker.batches(folder))
     assert events.select("t_s", "event").rows() == [(75.0, "lost"), (75.0, "found again")]
-
-
-def test_every_restart_is_an_event_of_its_own():
-    status = ["ok", "restarted", "restarted", "ok", "lost", "restarted"]
-    times = [float(t) for t in range(6)]
-    tracks = pl.DataFrame({"recording": "a", "tag": "1", "station": "s", "t_s": times, "status": status})
-    lost, found = "lost", "found again"
-    assert events_of(tracks, spec_of("bearings"), []).select("t_s", "event").rows() == [
-        (1.0, lost), (1.0, found), (2.0, lost), (2.0, found), (4.0, lost), (5.0, found),
-    ]  # fmt: skip
 
 
 OK, WAITING, RESTARTED, LOST, BAD, PADDING = (
@@ -164,26 +131,6 @@ def test_the_status_of_a_line_is_the_worst_that_happened_and_still_holds(rows, l
     for name in ("log_likelihood", "nis", "wrapped"):
         assert getattr(merged, name)[1] == within
     assert merged.nis_dof.tolist() == [1.0, len(rows), 2.0]
-
-
-def test_rows_are_merged_by_their_own_time_not_by_that_for_which_they_are_valid():
-    rows, age = 1.7e9 + np.array([0.1, 0.1, 0.3, 0.4, 0.4, 0.4]), np.array([0.1, 0.07, 0.1, 0.2, 1 / 3, 0.2])
-    zero, one, status = np.zeros(6), np.ones(6), np.full(6, OK, np.int8)
-    estimates = Estimates(Placed(Vector(zero)), zero[None], zero, one, one, zero, status, rows - age, ("a",), age)
-    # The third and the fourth row are valid for one time.
-    assert rows[2] - age[2] == pytest.approx(rows[3] - age[3], abs=1e-6)
-    last, merged = estimates.per_time()
-    assert np.flatnonzero(last).tolist() == [1, 2, 5]
-    assert merged.nis.tolist() == estimates.to_polars()["nis"].to_list() == [2.0, 1.0, 3.0]
-    np.testing.assert_array_equal(estimates.per_time(rows)[0], last)
-
-
-def test_a_row_whose_nis_overflows_is_left_out_of_nis_and_degrees_of_freedom_alike():
-    nis, dof, times = np.array([1.0, np.inf, 2.0]), np.full(3, 2.0), np.zeros(3)
-    zero, status = np.zeros(3), np.full(3, OK, np.int8)
-    estimates = Estimates(Placed(Vector(zero)), zero[None], zero, nis, dof, zero, status, times, ("a",))
-    merged = estimates.per_time()[1]
-    assert (merged.nis.tolist(), merged.nis_dof.tolist()) == ([3.0], [4.0])
 
 
 def test_recordings_of_different_lengths_have_one_line_per_time_each():

@@ -8,7 +8,7 @@ import pytest
 
 from tests.faulty import write_good
 from trackwright.trackers.aoa.fusion import BEARINGS
-from trackwright.trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories, phase_trajectories
+from trackwright.trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 from trackwright.trackers.recordings.trajectories import Trajectories, segments
 
@@ -59,22 +59,6 @@ def test_a_missing_angle_is_masked_and_reported_standard_deviations_become_varia
     assert readings.seen[:, 1].all()
     np.testing.assert_allclose(readings.reported[times == 0.5], [[0.1**2, 0.0, 0.2**2]] * 2)
     np.testing.assert_allclose(readings.reported[times == 2.0], [[0.1**2, 0.0, 0.0]] * 2)
-
-
-def test_phases_of_all_stations_at_one_time_share_a_row_and_duplicates_get_another(good):
-    table = good.tables["phases"]
-    again = table.filter((pl.col("t_s") == 1.0) & (pl.col("tag") == "T1") & (pl.col("station") == "S2"))
-    again = again.with_columns(phase_1_rad=pl.lit(0.25))
-    both = pl.concat([table, again]).sort("t_s", maintain_order=True)
-    trajectory = phase_trajectories(_with(good, phases=both), False)[0]
-    assert len(trajectory.recording) == 51
-    (repeated,) = np.flatnonzero(np.diff(trajectory.recording.times) == 0)
-    one, two = (trajectory.recording.readings[name] for name in ("S1", "S2"))
-    assert one.seen[repeated].all()
-    assert not one.seen[repeated + 1].any()
-    assert two.seen[[repeated, repeated + 1]].all()
-    assert two.values[repeated + 1, 0] == 0.25
-    assert two.seen.all()
 
 
 def test_beams_are_a_trajectory_for_each_tag_and_station_with_true_directions(good):

@@ -185,7 +185,7 @@ def compared(recording: RecordingFolder, table: str) -> Compared | None:
 def moments(recording: RecordingFolder, table: str) -> Compared | None:
     """Moments of a table with more readings than a position takes; None with too few, or sensors all at one place."""
     kind = KINDS[table]
-    if not (kind.difference or (len(kind.sensors) == 1 and (kind.angles or kind.distance))):
+    if not (kind.difference or (len(kind.sensors) == 1 and (kind.angles or kind.columns[0].positive))):
         return None
     whole = _whole(recording, kind)
     view = _of_used(whole.of_rows(np.flatnonzero(np.isfinite(whole.values[:MOST_ROWS]).all(axis=1))), 1)

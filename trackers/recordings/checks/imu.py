@@ -20,7 +20,7 @@ from trackwright.trackers.recordings.checks.compared import MOST_OF_GROUP, Compa
 from trackwright.trackers.recordings.checks.mistakes import check_against_truth
 from trackwright.trackers.recordings.columns import QUATERNION, TruePaths
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import Column, Kind, Sensors, layout
+from trackwright.trackers.recordings.kinds import Column, Kind, Sensors, table_kinds
 
 MOST_TAGS, MOST_ROWS, LEAST_WINDOWS, LEAST_TURN = 12, 30_000, 20, 0.05
 """Tags whose IMU is checked, and rows of each, the first ones; windows, and root mean square turn, rad, that tell."""
@@ -159,7 +159,7 @@ class ImuRows(NamedTuple):
 
 def imu_rows(table: pl.DataFrame, tag: str) -> ImuRows | None:
     """The whole rows of a tag; None with fewer than ten."""
-    columns = layout("imu", table.columns).values
+    columns = table_kinds()["imu"].layout(table.columns).values
     rows = table.filter(pl.col("tag") == tag).select("t_s", *columns).drop_nulls().unique("t_s", keep="first")
     rows = rows.sort("t_s").head(MOST_ROWS)
     if len(rows) < 10:
@@ -204,7 +204,7 @@ def check_odometry(recording: RecordingFolder) -> Iterator[CheckResult]:
     rows, paths, columns, half = (
         recording.rows("odometry"),
         recording.paths,
-        layout("odometry", ()).values,
+        table_kinds()["odometry"].layout(()).values,
         WINDOW_S / 2,
     )
     values = rows.floats(columns)

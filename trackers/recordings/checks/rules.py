@@ -18,8 +18,8 @@ from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
 from trackwright.trackers.core.wording import counted, significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
-from trackwright.trackers.recordings.columns import QUATERNION, TableRows, TruePaths, TruthStatus
-from trackwright.trackers.recordings.kinds import KINDS, Kind, duplicates_line, first_time, table_kinds
+from trackwright.trackers.recordings.columns import QUATERNION, TagRows, TruePaths, TruthStatus
+from trackwright.trackers.recordings.kinds import KINDS, Kind, first_time, table_kinds
 
 Tables = Mapping[str, pl.DataFrame]
 Results = Iterator[CheckResult]
@@ -141,7 +141,11 @@ def check_units(rig: Rig, tables: Tables) -> Results:
     far = np.abs(places - np.median(places, axis=0)).max(axis=1) > ELSEWHERE_M if len(places) > 1 else []
     for name in dict.fromkeys(np.array([*names, *["path_knots"] * len(knots)])[far].tolist()):
         yield CheckResult("error", "rig.toml", f"{name}: more than 100 km from the others; correct its coordinates")
-    distances = [tables[name][kind.columns[0].name] for name, kind in KINDS.items() if name in tables and kind.distance]
+    distances = [
+        tables[name][kind.columns[0].name]
+        for name, kind in KINDS.items()
+        if name in tables and kind.columns[0].positive
+    ]
     if len(rig.anchors) > 1 and distances and (typical := distances[0].abs().median()) is not None:
         at = np.stack(list(rig.anchors.values()))
         apart = float(np.median(np.sort(np.linalg.norm(at[:, None] - at, axis=-1), axis=1)[:, 1]))
@@ -208,7 +212,7 @@ def check_rows(rig: Rig, tables: Tables) -> Results:
         rows = streams(with_value(table, values).select("t_s", *ids, *values), ids)
         repeated = rows.filter((DT == 0) | (DT.shift(-1) == 0))
         if exact := repeated.height - repeated.n_unique(["stream", "t_s", *values]):
-            yield CheckResult("warning", *duplicates_line(name, exact).split(": ", 1))
+            yield CheckResult("warning", name, f"duplicate rows: {exact}; counted once")
         if again := repeated.height - repeated.n_unique(["stream", "t_s"]) - exact:
             few = "; the stamps have lost digits" if again > rows.height / 2 else ""
             what = f"rows with the time of another row of the same sensor and tag: {again}; kept{few}"
@@ -343,7 +347,7 @@ def check_cover(truth: pl.DataFrame, measured: Tables, full: bool) -> Results:
     known = truth.select("t_s", "tag", "x_m", "y_m", "z_m").drop_nulls()
     share = float(first <= end and last >= start)
     if full:
-        rows = TableRows(pl.concat([table.select("t_s", "tag") for table in measured.values()]))
+        rows = TagRows(pl.concat([table.select("t_s", "tag") for table in measured.values()]))
         status = TruePaths.of_table(known, "").at(rows.tags, rows.starts, rows.times)[1]
         share = float(np.mean(status == TruthStatus.SCORED))
         moved = pl.sum_horizontal(C(axis).diff() ** 2 for axis in ("x_m", "y_m", "z_m")).sqrt()
@@ -370,7 +374,7 @@ def check_heights(rig: Rig, tables: Tables) -> Results:
     up = {key: float(place[2]) for key, place in rig.anchors.items()}
     height, contrary = C("tag").replace_strict(heights, default=None, return_dtype=pl.Float64), dict[str, str]()
     for name, kind in KINDS.items() if heights else ():
-        if name in tables and kind.distance:
+        if name in tables and kind.columns[0].positive:
             short = C(kind.columns[0].name) < (C(kind.noun).replace_strict(up, default=None) - height).abs() - OFF_M
             for tag, share in tables[name].group_by("tag", maintain_order=True).agg(short.mean()).iter_rows():
                 if (share or 0.0) > 0.5:
