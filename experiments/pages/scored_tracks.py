@@ -101,7 +101,7 @@ class ScoredRecording:
     @cached_property
     def starts(self) -> np.ndarray:
         """The first row of each of the g tracks, then their number (g + 1,)."""
-        return np.append(0, np.cumsum(self.rows["track"].rle().struct.field("len").to_numpy()))
+        return np.append(0, np.cumsum(self.rows["track"].rle().struct.field("len").to_numpy())).astype(int)
 
     @property
     def first(self) -> pl.DataFrame:

@@ -28,12 +28,12 @@ def test_ranges_are_means_of_each_tag_anchor_and_interval():
     found = averaged(table, "ranges", 0.5)
     assert found.columns == table.columns
     assert found["t_s"].is_sorted()
-    rows = table.drop_nulls("range_m").to_dicts()
-    keys = {(row["tag"], row["anchor"], int(row["t_s"] // 0.5)) for row in rows}
-    assert len(found) == len(keys)
+    groups: dict[tuple, list[dict]] = {}
+    for row in table.drop_nulls("range_m").iter_rows(named=True):
+        groups.setdefault((row["tag"], row["anchor"], int(row["t_s"] // 0.5)), []).append(row)
+    assert len(found) == len(groups)
     for row in found.iter_rows(named=True):
-        key = row["tag"], row["anchor"], int(row["t_s"] // 0.5)
-        own = [r for r in rows if (r["tag"], r["anchor"], int(r["t_s"] // 0.5)) == key]
+        own = groups[row["tag"], row["anchor"], int(row["t_s"] // 0.5)]
         assert row["t_s"] == pytest.approx(np.mean([r["t_s"] for r in own]))
         assert row["range_m"] == pytest.approx(np.mean([r["range_m"] for r in own]))
         assert row["range_std_m"] == pytest.approx(np.sqrt(np.mean([r["range_std_m"] ** 2 for r in own])))

