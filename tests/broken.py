@@ -127,7 +127,7 @@ BROKEN: dict[str, Builder] = {
     "time not a number": with_cell("truth", "t_s", "nan"),
     "time a clock text": with_cell("ranges", "t_s", "12:00:01"),
     "time a date": with_table(
-        "ranges", lambda table: table.with_columns(t_s=pl.lit("2026-05-01T12:00:00")), word="by 't_s=t_s in iso'"
+        "ranges", lambda table: table.with_columns(t_s=pl.lit("2026-05-01T12:00:00")), word="with 't_s=t_s in iso'"
     ),
     "clock that starts again": with_table(
         "ranges",

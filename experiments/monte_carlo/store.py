@@ -20,7 +20,7 @@ from trackwright.experiments.jobs.store import Store
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import config_hash, json_text, remove_abandoned, write_whole
+from trackwright.trackers.recordings.atomic import config_hash, json_text, write_whole
 from trackwright.trackers.recordings.input_file import file_bytes, read_arrays
 
 IDENTITY, CHUNKS = "study.json", "chunks"
@@ -99,7 +99,6 @@ class ChunkStore(Store[Part, bytes]):
             fix = "expected the same study; choose another --out, or remove the folder"
             raise UnusableInput(f"{path}: the folder holds another study ({difference}); {fix}")
         # Also where no chunk is missing, and none will be written.
-        remove_abandoned(self.folder / CHUNKS)
         return self
 
     @cached_property

@@ -20,7 +20,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
 from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, scored_rows, wrapped
-from trackwright.trackers.recordings.columns import float_column, run_starts
+from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, first_time
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch
@@ -78,7 +78,7 @@ class ScoredRecording:
     @cached_property
     def starts(self) -> np.ndarray:
         """The first row of each of the g tracks, then their number (g + 1,)."""
-        return run_starts(self.rows, ["track"])
+        return np.append(0, np.cumsum(self.rows["track"].rle().struct.field("len").to_numpy())).astype(int)
 
     @property
     def first(self) -> pl.DataFrame:

@@ -169,7 +169,7 @@ def stations_of(table: str, least: int) -> Callable[[RecordingFolder], str | Non
     def lacks(folder: RecordingFolder) -> str | None:
         if table not in folder.tables:
             return f"a {table} table with at least {least} station(s), found no such table"
-        count = folder.rows(table).count("station", list(folder.rig.stations))
+        count = len(np.unique(folder.rows(table).codes("station", list(folder.rig.stations))))
         return None if count >= least else f"a {table} table with at least {least} station(s), found {count} station(s)"
 
     return lacks

@@ -17,7 +17,7 @@ from trackwright.trackers.exchange.expressions import Expression, parsed, sensor
 from trackwright.trackers.exchange.text_tables import Reading
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.input_file import read_model
-from trackwright.trackers.recordings.kinds import layout, table_kinds
+from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.tables import TableFile
 
 PRESETS = {path.stem: path for path in (Path(__file__).parent / "presets").glob("[!_]*.toml")}
@@ -87,14 +87,14 @@ class Source:
         used, shared = {*mapping.where}, groups.pop(None, {})
         for sensor, own in (groups or {None: {}}).items():
             columns = _complete(file, mapping, shared | own, sensor)
-            ids = layout(name, [*columns]).ids
+            ids = table_kinds()[name].layout([*columns]).ids
             table = pl.DataFrame({n: e.ids(file) if n in ids else e.numbers(file) for n, e in columns.items()})
             tables.append(table.with_columns(pl.int_range(pl.len()).alias(ORIGIN) + len(self.parts) * 2**40))
             self.parts.append((file, {n: "+".join(e.sources) or e.text for n, e in columns.items()}))
             used |= {source for e in columns.values() for source in e.sources}
         if order := columns["t_s"].guessed_order(file):
             self.notices.append(f"{name}: column {' + '.join(columns['t_s'].sources)}: dates are read as {order}")
-        table, wanted = pl.concat(tables), layout(name, tables[0].columns)
+        table, wanted = pl.concat(tables), table_kinds()[name].layout(tables[0].columns)
         filled = table.filter(pl.any_horizontal(pl.col(wanted.values).is_not_null()))
         if len(filled) < len(table):
             self.notices.append(f"{name}: {counted(len(table) - len(filled), 'row')} without a value left out")
@@ -151,7 +151,7 @@ def _complete(
 ) -> dict[str, Expression]:
     """The expressions of all columns of a table, of one sensor or of all; raises UnusableInput for one that lacks."""
     present, table = file.frame.columns, mapping.table
-    wanted = layout(table, [*expressions, *(name for name in present if name not in expressions)])
+    wanted = table_kinds()[table].layout([*expressions, *(name for name in present if name not in expressions)])
     own, ids = expressions.get("tag", Expression("tag", "tag", ("tag",))), wanted.ids[1:]
     given, column = mapping.tag or own.constant, next(iter(own.sources), "tag")
     texts = {*texts_of(file.frame[column])} - {None, ""} if given and column in present else set()

@@ -15,7 +15,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.exchange.expressions import sensor_of
 from trackwright.trackers.exchange.mapping import Source, TableMapping, read_mapping, spelled_out
-from trackwright.trackers.recordings.kinds import layout
+from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.tables import TableFile
 
 MESSAGES = Path(__file__).parent / "presets" / "_messages.toml"  # standard ones, by their type in place of a topic
@@ -65,7 +65,7 @@ def _columns(reader: Any, path: Path, mapping: TableMapping, connections: Any) -
     topic, (kind, *others) = f"{path}: topic {mapping.topic}", sorted({c.msgtype for c in connections})
     if others:
         raise UnusableInput(f"{topic} has messages of {listed([kind, *others])}; expected one type")
-    paths, wanted = list(_paths(reader.typestore.fielddefs, kind)), layout(mapping.table, ())
+    paths, wanted = list(_paths(reader.typestore.fielddefs, kind)), table_kinds()[mapping.table].layout(())
     fields, columns = listed(paths, 24), spelled_out(mapping.columns, paths)
     given = {sensor_of(target)[0] for target in columns}
     for one in read_mapping(MESSAGES):

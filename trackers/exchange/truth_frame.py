@@ -106,7 +106,7 @@ def _standard_errors(view: Compared, errors: Callable[[np.ndarray], np.ndarray],
     parts = part.max() + 1
 
     def without(k: int, x: np.ndarray) -> np.ndarray:
-        return np.where(part[:, None] == k, np.nan, errors(x[:-1]) - view.kind.distance * x[-1])
+        return np.where(part[:, None] == k, np.nan, errors(x[:-1]) - view.kind.columns[0].positive * x[-1])
 
     fits = np.array([robust_fit(partial(without, k), np.append(x, 0.0))[0] for k in range(parts)])
     return np.asarray(np.sqrt((parts - 1) * fits.var(axis=0)))[:-1]

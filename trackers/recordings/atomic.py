@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
 import os
 import shutil
-import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -21,18 +19,12 @@ from pydantic_core import to_json
 from trackwright.trackers.core.errors import UnusableInput
 
 PREFIX = ".trackwright-"
-ABANDONED_S = 86_400.0
-"""Age, s, from which on a temporary file is what a killed process left."""
 
 Content = pl.DataFrame | str | bytes
 
 
 def atomic_write(path: Path | str, writer: Callable[[Path], object]) -> Path:
-    """Atomic write: `writer` writes a temporary file in the same folder, which is then renamed to `path`; returns it.
-
-    After a failure no partial file remains, and an older file of that name is unchanged. Raises UnusableInput for a
-    full disk, missing permission or a missing folder.
-    """
+    """Has `writer` write a file beside `path` that becomes it when whole; raises UnusableInput where it cannot."""
     path = Path(path)
     try:
         with beside(path) as temporary:
@@ -77,29 +69,13 @@ def config_hash(config: Mapping[str, Any]) -> str:
 
 @contextmanager
 def beside(path: Path, make: Callable[[Path], object] = Path.touch) -> Iterator[Path]:
-    """A new file beside `path`, to be renamed to it within the block, and removed otherwise; `Path.mkdir`: a folder.
-
-    Raises OSError where it cannot be made.
-    """
-    _clear_once(path.absolute().parent)
+    """A new file (`Path.mkdir`: folder) beside `path`, to be renamed to it within the block, and removed otherwise."""
     temporary = path.with_name(f"{PREFIX}{uuid.uuid4().hex[:8]}-{path.name}")
     try:
         make(temporary)
         yield temporary
     finally:
         _remove(temporary)
-
-
-def remove_abandoned(folder: Path) -> None:
-    """Removes the temporary files and folders in there that a killed process left a day ago or earlier."""
-    for path in folder.glob(f"{PREFIX}*"):
-        with suppress(OSError):  # gone
-            if time.time() - path.lstat().st_mtime > ABANDONED_S:
-                _remove(path)
-
-
-# Of the folders written to last: a command may write to thousands.
-_clear_once = functools.lru_cache(maxsize=64)(remove_abandoned)
 
 
 def _remove(path: Path) -> None:

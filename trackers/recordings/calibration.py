@@ -24,26 +24,13 @@ from trackwright.trackers.recordings.input_file import AS_FILE, NUMBERS, Count, 
 
 ANGLES = ("azimuth", "elevation")
 
-ANGLE_PRIOR = np.array([0.0, 1.0, 0.0, 0.0]), np.array([0.2, 0.3, 0.2, 0.2])
-"""Mean and standard deviation of the terms of an angle before any recording, in rad to the power of each term."""
-
-RANGE_PRIOR = np.zeros(2), np.array([0.3, 0.02])
-"""Mean and standard deviation of the bias, m, and of the slope of an anchor before any recording."""
-
-TAG_SIGMA = 0.05
-"""Standard deviation of the bias of a tag, m, relative to other tags, before any recording."""
-
-OFFSET_SIGMA = 0.02
-"""Standard deviation, m, of where the ranges of a tag end ahead and to the left of it, before any recording."""
-
-MOVED_M, MOVED_RAD = 0.1, 0.05
-"""Distance, m, and angle, rad, by which a station or anchor may have moved since its calibration."""
-
-DETERMINED = 0.7
-"""Largest standard deviation of a term that counts as determined, as a share of that before any recording."""
-
-LARGEST_ANGLES = np.array([np.pi, np.pi / 2])
-"""The largest azimuth and elevation, rad."""
+ANGLE_PRIOR = np.array([0.0, 1.0, 0.0, 0.0]), np.array([0.2, 0.3, 0.2, 0.2])  # mean, sd; rad to the power of each term
+RANGE_PRIOR = np.zeros(2), np.array([0.3, 0.02])  # mean and standard deviation of bias, m, and slope
+TAG_SIGMA = 0.05  # standard deviation of the bias of a tag, m, relative to other tags, before any recording
+OFFSET_SIGMA = 0.02  # of where the ranges of a tag end, m, before any recording
+MOVED_M, MOVED_RAD = 0.1, 0.05  # what a station or anchor may have moved since its calibration
+DETERMINED = 0.7  # largest standard deviation of a determined term, as a share of the prior's
+LARGEST_ANGLES = np.array([np.pi, np.pi / 2])  # the largest azimuth and elevation, rad
 
 _NEWTON_STEPS, _CONVERGED = 20, 1e-10
 
@@ -52,10 +39,7 @@ COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `tra
 
 
 def angle_terms(true: np.ndarray, spans: np.ndarray) -> np.ndarray:
-    """The factors (..., 2, 4) of the terms of azimuth and elevation, at true angles (..., 2), rad.
-
-    `spans` (..., 2, 2): lowest and highest of each angle, rad, beyond which the terms go on linearly.
-    """
+    """Factors (..., 2, 4) of the terms at true angles (..., 2), rad; linear beyond the `spans` (..., 2, 2)."""
     inside = np.clip(true, spans[..., 0], spans[..., 1])
     cubic = inside**2 * (3.0 * true - 2.0 * inside)
     return np.stack([np.ones_like(true), true, cubic, true * inside[..., ::-1]], axis=-1)
@@ -105,10 +89,9 @@ UNCALIBRATED = StationCalibration(
 
 @dataclass(frozen=True)
 class AnchorCalibration:
-    """The terms of an anchor's ranges: `coefficients` (2,), bias, m, and slope; `covariance` (2, 2).
+    """Bias, m, and slope of an anchor's ranges, and their covariance.
 
-    `span` (2,): the smallest and the largest distance in the recordings of the fit, m. `rows`: their number.
-    `position` (3,) m: where the anchor stood; None for anywhere.
+    `span`: smallest and largest distance of the fit, m. `rows`: their number. `position`: where it stood, or None.
     """
 
     __pydantic_config__: ClassVar = AS_FILE
@@ -122,10 +105,9 @@ class AnchorCalibration:
 
 @dataclass(frozen=True)
 class TagCalibration:
-    """The bias of a tag's ranges, m, relative to the mean of all tags of the fit, and its standard deviation, m.
+    """Bias of a tag's ranges relative to the mean of all tags of the fit, and its standard deviation, m.
 
-    `offset` (2,) m: from the place of the tag on its body to where its ranges end, the phase centre of its antenna,
-    ahead and to the left; `offset_sigmas` (2,) m. Zero where the heading of the body is not known.
+    `offset`: from its place on the body to where its ranges end, ahead and to the left, m; zero without a heading.
     """
 
     __pydantic_config__: ClassVar = AS_FILE
@@ -141,8 +123,7 @@ class TagCalibration:
 class Calibration:
     """Systematic errors of stations, anchors and tags by their ids; `recordings`: their names in the fit.
 
-    `range_spread`: how far the ranges of the fit scatter about it, m: the scale of Student's t, root mean square over
-    the anchors; None without anchors.
+    `range_spread`: scale of Student's t of the ranges about the fit, m, root mean square over the anchors.
     """
 
     __pydantic_config__: ClassVar = AS_FILE
@@ -171,12 +152,7 @@ class Calibration:
     def of_bearings(
         self, stations: Sequence[str], number: np.ndarray, measured: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The calibration of bearings (N, 2), rad, of `stations[number]` (N,).
-
-        The terms and spans of the station of each (N, 12), the true angles (N, 2), rad, and the variances of azimuth
-        and elevation that the uncertainty of the terms adds (N, 2), rad². Stations without a calibration have no
-        systematic errors.
-        """
+        """Of bearings (N, 2), rad: terms and spans (N, 12), true angles (N, 2), variances that the terms add (N, 2)."""
         of = [self.stations.get(name, UNCALIBRATED) for name in stations]
         coefficients, spans = np.stack([x.coefficients for x in of])[number], np.stack([x.spans for x in of])[number]
         true = _true(measured, coefficients, spans)
@@ -186,11 +162,7 @@ class Calibration:
     def of_ranges(
         self, anchors: Sequence[str], number: np.ndarray, tags: Sequence[str], tag: np.ndarray, measured: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The distances (N,), m, of ranges (N,) between `anchors[number]` (N,) and `tags[tag]` (N,).
-
-        Also the variances that the uncertainty of the terms adds (N,), m². A tag without a calibration has the bias of
-        the mean tag; ranges to an anchor without one are as measured.
-        """
+        """Distances (N,), m, of ranges, and the variances that the terms add, m²; a tag not known has the mean bias."""
         none = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
         of = [self.anchors.get(name, none) for name in anchors]
         other = TagCalibration(0.0, TAG_SIGMA if self.tags else 0.0)
@@ -243,11 +215,8 @@ def _true(measured: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> Path:
     """Writes the calibration to the file `path`, completely or not at all; raises UnusableInput where it cannot be."""
-
-    def given(table: Mapping[str, Any]) -> dict[str, Any]:
-        return {key: given(x) if isinstance(x, Mapping) else x for key, x in table.items() if x is not None}
-
-    text = COMMENT + tomli_w.dumps({"format": FORMAT, **json.loads(json_text(given(asdict(calibration))))})
+    content = asdict(calibration, dict_factory=lambda pairs: {key: x for key, x in pairs if x is not None})
+    text = COMMENT + tomli_w.dumps({"format": FORMAT, **json.loads(json_text(content))})
     return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import cached_property, partial
@@ -17,11 +16,8 @@ from trackwright.trackers.core.errors import UnusableInput
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 
-PIECE_S, PIECE_M = 5.0, 1.0
-"""Least duration, s, and way, m, of a piece of time: errors of different pieces count as independent."""
-
-_NUMERIC = ("_s", "_m", "_m2", "_rad", "nis", "nis_dof")
-"""Endings of the names of numeric columns in tables of estimates and of truth."""
+PIECE_S, PIECE_M = 5.0, 1.0  # least duration and way of a piece of time with independent errors
+_NUMERIC = ("_s", "_m", "_m2", "_rad", "nis", "nis_dof")  # endings of numeric columns of estimates and truth
 
 
 def float_column(frame: pl.DataFrame, name: str) -> np.ndarray:
@@ -32,50 +28,15 @@ def float_column(frame: pl.DataFrame, name: str) -> np.ndarray:
     return (column.fill_null(np.nan) if column.null_count() else column).to_numpy()
 
 
-class TagRows(ABC):
+class TagRows:
     """The rows of a table as columns, one tag after another, each tag's in the order of the table.
 
-    `tags`: in order of first appearance. `starts` (tags + 1,): the first of the N rows of each tag, then N. `times`
-    (N,): s.
+    `tags`: by first appearance. `starts` (tags + 1,): first of the N rows of each tag, then N. `times` (N,): s.
     """
 
     tags: list[str]
     starts: np.ndarray
     times: np.ndarray
-
-    @abstractmethod
-    def __contains__(self, name: str) -> bool:
-        """Whether the table has a column of this name."""
-
-    @abstractmethod
-    def floats(self, names: Sequence[str]) -> np.ndarray:
-        """The columns (N, m) as float64, NaN where a value is missing; all NaN for a column that the table lacks."""
-
-    @abstractmethod
-    def codes(self, name: str, ids: Sequence[str]) -> np.ndarray:
-        """The numbers in `ids` of the ids in a column (N,)."""
-
-    def count(self, name: str, ids: Sequence[str]) -> int:
-        """How many of `ids` occur in a column."""
-        return int(np.count_nonzero(np.bincount(self.codes(name, ids))))
-
-    def values(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """The columns as values (N, m), zero where one is missing, and the mask (N, m) of the values present."""
-        values = self.floats(names)
-        seen = np.isfinite(values)
-        return values if seen.all() else np.where(seen, values, 0.0), seen
-
-    def variances(self, names: Sequence[str]) -> np.ndarray:
-        """The squares of standard deviations (N, m), zero where none is reported."""
-        return np.nan_to_num(self.floats(names)) ** 2
-
-    def of_each(self, per_tag: np.ndarray) -> np.ndarray:
-        """A number of every tag (tags, …), repeated in each of its rows (N, …)."""
-        return np.repeat(per_tag, np.diff(self.starts), axis=0)
-
-
-class TableRows(TagRows):
-    """The rows of a data frame by tag."""
 
     def __init__(self, table: pl.DataFrame) -> None:
         tags = table["tag"].cast(pl.String)
@@ -90,11 +51,27 @@ class TableRows(TagRows):
         return name in self._table.columns
 
     def floats(self, names: Sequence[str]) -> np.ndarray:
+        """The columns (N, m) as float64, NaN where a value is missing; all NaN for a column that the table lacks."""
         # Each column is contiguous.
         return np.array([float_column(self._table, name)[self._order] for name in names]).T
 
     def codes(self, name: str, ids: Sequence[str]) -> np.ndarray:
+        """The numbers in `ids` of the ids in a column (N,)."""
         return codes(self._table[name], ids)[self._order].astype(int)
+
+    def values(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """The columns as values (N, m), zero where one is missing, and the mask (N, m) of the values present."""
+        values = self.floats(names)
+        seen = np.isfinite(values)
+        return values if seen.all() else np.where(seen, values, 0.0), seen
+
+    def variances(self, names: Sequence[str]) -> np.ndarray:
+        """The squares of standard deviations (N, m), zero where none is reported."""
+        return np.nan_to_num(self.floats(names)) ** 2
+
+    def of_each(self, per_tag: np.ndarray) -> np.ndarray:
+        """A number of every tag (tags, …), repeated in each of its rows (N, …)."""
+        return np.repeat(per_tag, np.diff(self.starts), axis=0)
 
 
 def stable_order(numbers: np.ndarray) -> np.ndarray:
@@ -113,28 +90,15 @@ def codes(column: pl.Series, ids: Sequence[str]) -> np.ndarray:
     return column.cast(pl.Enum(ids)).to_physical().to_numpy()
 
 
-def run_starts(rows: pl.DataFrame, keys: list[str]) -> np.ndarray:
-    """Start indices (g + 1,) of the g runs of equal `keys` in sorted rows; the last entry is the number of rows."""
-    lengths = rows.select(pl.struct(keys).rle().struct.field("len")).to_series().to_numpy()
-    return np.concatenate([[0], np.cumsum(lengths)]).astype(int)
-
-
 def require_columns(frame: pl.DataFrame, columns: list[str], what: str) -> None:
     """Raises UnusableInput for a missing column, text in a numeric one, or numbers in `status`; `what`: the table."""
-    missing = [name for name in columns if name not in frame.columns]
     numeric = {name: kind.is_numeric() or kind == pl.Null for name, kind in frame.schema.items()}
-    text = [name for name in frame.columns if name.endswith(_NUMERIC) and not numeric[name]]
-    if missing:
-        found = f"no column {', '.join(missing)}; found {', '.join(frame.columns) or 'none'}"
-        fix = f"{', '.join(columns)}; give the table written by `trackwright track` or the truth of a recording"
-    elif text:
-        found, fix = f"column {text[0]} holds {frame.schema[text[0]]}", "numbers; convert the column"
-    elif numeric.get("status"):
-        found = f"column status holds {frame.schema['status']}"
-        fix = "words such as ok, lost, waiting; write the words or leave the column out"
-    else:
-        return
-    raise UnusableInput(f"{what}: {found}; expected {fix}")
+    wrong = [f"no column {name}" for name in columns if name not in numeric]
+    wrong += [f"column {name} holds text" for name in numeric if name.endswith(_NUMERIC) and not numeric[name]]
+    wrong += ["column status holds numbers, no words such as ok, lost, waiting"] * numeric.get("status", False)
+    if wrong:
+        found = ", ".join(numeric) or "none"
+        raise UnusableInput(f"{what}: {wrong[0]}; found {found}; expected the table of `track` or a truth; correct it")
 
 
 class TruthStatus(IntEnum):
@@ -149,38 +113,29 @@ class TruthStatus(IntEnum):
 class TruePaths:
     """The true paths of tags: positions at sorted times, no two of them equal, between which they are interpolated.
 
-    `tags`: of the paths. `starts` (paths + 1,): the first row of each path, then their number n. `times` (n,) s and
-    `positions` (n, 3) m: z is NaN where there is no height. `attitudes`: the quaternions (n, 4) of the bodies, NaN
-    where they are not known, read with the first heading; None for none.
+    `starts` (paths + 1,): the first row of each of `tags`, then their number n. `positions` (n, 3) m: z is NaN where
+    unknown. `attitudes`: quaternions (n, 4), NaN where unknown, read with the first heading; None for none.
     """
 
     def __init__(
         self,
-        tags: Sequence[str],
-        starts: np.ndarray,
-        times: np.ndarray,
-        positions: np.ndarray,
+        tags: Sequence[str] = (),
+        starts: np.ndarray = np.zeros(1, int),  # noqa: B008
+        times: np.ndarray = np.zeros(0),  # noqa: B008
+        positions: np.ndarray = np.zeros((0, 3)),  # noqa: B008
         attitudes: Callable[[], np.ndarray] | None = None,
     ) -> None:
         self.number = {tag: k for k, tag in enumerate(tags)}
         self.starts, self.times, self.positions, self._attitudes = starts, times, positions, attitudes
 
     @classmethod
-    def none(cls) -> TruePaths:
-        """No path at all."""
-        return cls([], np.zeros(1, int), np.zeros(0), np.zeros((0, 3)))
-
-    @classmethod
     def of_table(cls, truth: pl.DataFrame, recording: str) -> TruePaths:
-        """The paths of a table with columns t_s, tag, x_m, y_m and optionally z_m; rows without x or y are left out.
-
-        `recording`: its name, for messages. Raises UnusableInput.
-        """
+        """The paths of a truth; rows without x or y are left out. `recording`: its name in refusals (UnusableInput)."""
         require_columns(truth, ["t_s", "tag", "x_m", "y_m"], f"the truth of recording '{recording}'")
         known = pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite())
         present = truth.with_columns(pl.col("tag").cast(pl.String)).filter(known)
         present = present.unique(["tag", "t_s"], keep="first", maintain_order=True)
-        return cls.of_rows(TableRows(present.sort("t_s", maintain_order=True)))
+        return cls.of_rows(TagRows(present.sort("t_s", maintain_order=True)))
 
     @classmethod
     def of_rows(cls, rows: TagRows) -> TruePaths:
@@ -202,10 +157,7 @@ class TruePaths:
         return self.times[part], self.positions[part]
 
     def headings_at(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """True headings (N,), rad, linearly interpolated, of rows as in `at`; NaN where they are not known.
-
-        Nor are they between attitudes further apart than a hole of the truth may be long, whatever the way covered.
-        """
+        """Headings (N,), rad, interpolated at rows as in `at`; NaN where unknown, also in holes of the attitudes."""
         result = np.full(len(times), np.nan)
         for tag, first, end in zip(tags, starts[:-1], starts[1:], strict=True):
             if self.headings is None or tag not in self.number:
@@ -222,11 +174,7 @@ class TruePaths:
         return result
 
     def at(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """True positions (N, 3), m, linearly interpolated at `times` (N,), s, and their `TruthStatus` (N,).
-
-        The rows `starts[k]` … `starts[k + 1] − 1` are of tag `tags[k]`. NaN without a path, outside its span, in its
-        holes, and at a time that is NaN.
-        """
+        """True positions (N, 3), m, of tag k at rows from `starts[k]`, NaN if unknown, and `TruthStatus` (N,)."""
         number, lengths = np.array([self.number.get(tag, -1) for tag in tags], int), np.diff(starts)
         if len(self.times) and (number >= 0).all() and np.array_equal(lengths, np.diff(self.starts)[number]):
             rows = np.arange(len(times)) + np.repeat(self.starts[number] - starts[:-1], lengths)
@@ -253,12 +201,7 @@ class TruePaths:
 
 
 def independent_pieces(times: np.ndarray, positions: np.ndarray, starts: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """The number of each row's piece of time (n,): a new one after `PIECE_S` and `PIECE_M`, the same for all tags.
-
-    A tag that stands still stays in one piece, since its readings have the errors of one place. `times` (n,) s
-    and `positions` (n, d) m of the tags, whose rows stand one after another from `starts` (tags + 1,); `known` (n,):
-    where there is a position.
-    """
+    """The piece of time of each row (n,): a new one after `PIECE_S` and `PIECE_M` of the tag that moves most."""
     # The way of the tag that moves most stands for all of them: tags on one body move together.
     ways = []
     for begin, end in pairwise(starts):

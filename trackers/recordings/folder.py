@@ -10,11 +10,11 @@ import gzip
 import hashlib
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import polars as pl
 
@@ -23,7 +23,7 @@ from trackwright.trackers.core.errors import UnusableInput, has_control, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.checks.rules import check_rows
-from trackwright.trackers.recordings.columns import TableRows, TagRows, TruePaths
+from trackwright.trackers.recordings.columns import TagRows, TruePaths
 from trackwright.trackers.recordings.kinds import KINDS, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackwright.trackers.recordings.tables import SUFFIXES, read_table
@@ -34,10 +34,7 @@ if TYPE_CHECKING:
 Kind = Literal["parquet", "csv.gz", "csv"]
 
 FOLDERS = "one or more recording folders, as `read`, `read_all` and `world.folder()` return them"
-"""What a refusal of anything else expects."""
-
-MANY = 60
-"""The most recordings that are tracked together: as many as a page shows."""
+MANY = 60  # the most recordings that are tracked together: as many as a page shows
 
 _OTHER_DATA = (".txt", ".tsv", ".dat", ".json", ".xlsx", ".zip", ".feather", ".npz", ".mat", ".pq")
 
@@ -72,13 +69,13 @@ class Tables(Mapping[str, pl.DataFrame]):
         """The rows of the table by tag, averaged over intervals of so many seconds where it has readings."""
         key = name, interval if table_kinds()[name].averaged else 0.0
         if key not in self._rows:
-            self._rows[key] = TableRows(averaged(self[name], name, interval) if key[1] else self[name])
+            self._rows[key] = TagRows(averaged(self[name], name, interval) if key[1] else self[name])
         return self._rows[key]
 
     def paths(self, recording: str) -> TruePaths:
         """The true paths of the tags, none without a truth table; `recording`: the name for messages."""
         if self._paths is None:
-            self._paths = TruePaths.of_table(self["truth"], recording) if "truth" in self else TruePaths.none()
+            self._paths = TruePaths.of_table(self["truth"], recording) if "truth" in self else TruePaths()
         return self._paths
 
 
@@ -86,12 +83,9 @@ class Tables(Mapping[str, pl.DataFrame]):
 class RecordingFolder:
     """A recording: its geometry, its tables, and notices of anomalies.
 
-    `path`: the folder it was read from, None for one made in memory. `tables`: by name, with t_s and values as Float64,
-    ids as String, null where a value is missing. `notices`: one line for each anomaly found while reading.
-    `calibration`: the systematic errors that trackers remove from bearings and ranges; the tables are as measured.
-    `average_s`: interval, s, over which its readings are averages; None where trackers are to average of themselves.
-    `origin`: x and y, m, in the recording as it was read, of the point from which positions are given.
-    `unaveraged`: the recording that they are averages of, None for readings as they were.
+    `path`: None for one in memory. `tables`: by name, t_s and values as Float64, ids as String, null where missing.
+    `calibration`: what trackers remove from bearings and ranges. `average_s`: interval of its averages, s; None where
+    trackers average of themselves; `unaveraged`: what they are of. `origin`: x and y of zero as it was read, m.
     """
 
     name: str
@@ -109,10 +103,7 @@ class RecordingFolder:
             object.__setattr__(self, "tables", Tables(self.tables))
 
     def rows(self, table: str, average_s: float = 0.0) -> TagRows:
-        """The rows of a table by tag, as columns; made once.
-
-        Where the recording has no interval of its own, readings are averaged over `average_s`.
-        """
+        """The rows of a table by tag, made once; averages over `average_s` unless the recording has its own."""
         assert isinstance(self.tables, Tables)
         return self.tables.rows(table, average_s if self.average_s is None else 0.0)
 
@@ -123,11 +114,7 @@ class RecordingFolder:
         return self.tables.paths(self.name)
 
     def calibrated(self, calibration: Calibration | None) -> RecordingFolder:
-        """This recording with systematic errors for trackers to remove; None for none.
-
-        Stations and anchors that no longer stand where they were calibrated are uncalibrated, with a notice where none
-        is left.
-        """
+        """This recording with a calibration of what has not moved since, and a notice where nothing is left of it."""
         plain = replace(self, calibration=None)
         if calibration is None:
             return plain
@@ -138,11 +125,7 @@ class RecordingFolder:
         return replace(calibrated, notices=(*calibrated.notices, text))
 
     def averaged(self, interval: float) -> RecordingFolder:
-        """This recording with one range, fix or bearing per tag, anchor or station, and interval of so many s.
-
-        The columns are as of `averaged`. With zero every reading stays, for trackers that average of
-        themselves, too. Raises UnusableInput for a negative interval.
-        """
+        """Readings averaged over intervals, s; zero: every one, for trackers that average, too."""
         if not 0 <= interval < math.inf:
             raise UnusableInput(f"interval = {interval:g} s, expected a time above zero, or zero for every reading")
         tables = {name: averaged(table, name, interval) for name, table in self.tables.items()} if interval else {}
@@ -159,24 +142,14 @@ class RecordingFolder:
         ]
 
     def __repr__(self) -> str:
-        tables = ", ".join(f"{name} {table.height:,} rows" for name, table in self.tables.items())
-        tags = {tag: None for table in self.tables.values() for tag in table["tag"].unique(maintain_order=True)}
-        parts: dict[str, Iterable[str]] = {"tags": tags, "anchors": self.rig.anchors, "stations": self.rig.stations}
-        lines = [f"  {what}: {len([*ids])} ({listed(ids, 4)})" for what, ids in parts.items() if [*ids]]
-        lines += [f"  truth: {'yes' if 'truth' in self.tables else 'no'}"]
-        if self.calibration is not None:
-            total = len(replace(self, calibration=None).uncalibrated())
-            lines += [f"  calibration: of {total - len(self.uncalibrated())} of {total} stations and anchors"]
-        lines += [f"  notices: {len(self.notices)}"] * bool(self.notices)
-        return "\n".join([f"RecordingFolder {self.name!r}", f"  tables: {tables or 'none'}", *lines])
+        rows = [f"{name} {table.height:,} rows" for name, table in self.tables.items()]
+        parts = [*rows, f"{len(self.rig.anchors)} anchors", f"{len(self.rig.stations)} stations"]
+        calibrated = ", calibrated but for " + listed(self.uncalibrated()) if self.calibration is not None else ""
+        return f"<recording {self.name!r}: {', '.join(parts)}, {len(self.notices)} notices{calibrated}>"
 
 
 def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
-    """A table with one row for each tag, anchor or station, and interval of so many s; other tables unchanged.
-
-    Values are means, of angles circular ones, of those present, at the mean of the times, and so is signal quality. The
-    errors of an interval count as one: a reported standard deviation is the root mean square.
-    """
+    """A table with a row per tag, sensor and interval, s: means at the mean time, root mean square deviations."""
     kind = table_kinds()[name]
     if not kind.averaged:
         return table
@@ -202,20 +175,14 @@ def _mean(column: str) -> pl.Expr:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which rows of recordings are used; by default all.
-
-    `tags`: those kept, none for all. `start`, `stop`: s, the rows from `start` to `stop`, both included.
-    """
+    """Which rows are used: of `tags`, none for all, from `start` to `stop`, s, both included; by default all."""
 
     tags: tuple[str, ...] = ()
     start: float | None = None
     stop: float | None = None
 
     def of(self, folder: RecordingFolder) -> RecordingFolder:
-        """The recording with these rows alone; its truth is the tags', at all times.
-
-        Raises UnusableInput for a tag that the recording lacks, and where a table of measurements has no row left.
-        """
+        """These rows, and the truth at all times; raises UnusableInput for a tag it lacks, or a table left empty."""
         if self == Selection():
             return folder
         path = folder.path or folder.name
@@ -227,8 +194,8 @@ class Selection:
         for name, table in tables.items():
             of_tags = self._rows(folder.tables[name], False)
             if of_tags.height and not table.height:
-                where = f"{path}: {name} has no row in the span of time asked for"
-                raise UnusableInput(f"{where}; expected a part of {_span(of_tags)}")
+                what = "has no row in the span of time asked for"
+                raise UnusableInput(f"{path}: {name} {what}; expected a part of {_span(of_tags)}")
         rig = folder.rig
         if self.tags:
             bodies = {body: tuple(tag for tag in on_it if tag in self.tags) for body, on_it in rig.bodies.items()}
@@ -237,14 +204,12 @@ class Selection:
 
     def of_estimates(self, tracks: pl.DataFrame) -> pl.DataFrame:
         """The rows of a table of estimates in these tags and times; raises UnusableInput without any."""
-        if "t_s" not in tracks.columns:
-            return tracks  # what reads them names the column
         kept = self._rows(tracks, True)
         if not kept.height:
-            tags = listed(tracks["tag"].cast(pl.String).unique().sort())
-            raise UnusableInput(
-                f"no estimate is of these tags and times; expected tags among {tags} and a part of {_span(tracks)}"
+            expected = (
+                f"tags among {listed(tracks['tag'].cast(pl.String).unique().sort())} and a part of {_span(tracks)}"
             )
+            raise UnusableInput(f"no estimate is of these tags and times; expected {expected}")
         return kept
 
     def _rows(self, table: pl.DataFrame, in_time: bool) -> pl.DataFrame:
@@ -270,11 +235,7 @@ def _span(table: pl.DataFrame) -> str:
 
 
 def read_recordings(paths: Sequence[str | Path], refused: list[str] | None = None) -> list[RecordingFolder]:
-    """The recordings in several folders, in the order given.
-
-    `refused`: gets the message of each unusable folder, which is then left out. Raises UnusableInput for an empty list,
-    a folder given twice, two recordings of one name, and without `refused` for an unusable folder.
-    """
+    """Several recordings; raises UnusableInput, unless `refused` gets what is said of those left out."""
     refuse_repeated(paths)
     recordings = []
     for path in paths:
@@ -290,7 +251,7 @@ def read_recordings(paths: Sequence[str | Path], refused: list[str] | None = Non
 
 def refuse_same_names(names: Sequence[str]) -> None:
     """Raises UnusableInput for two recordings of one name."""
-    if same := _repeated(names, names):
+    for same in (name for k, name in enumerate(names) if name in names[:k]):
         raise UnusableInput(f"two recordings are both named '{same}'; expected different names in rig.toml; rename one")
 
 
@@ -298,20 +259,13 @@ def refuse_repeated(paths: Sequence[str | Path]) -> None:
     """Raises UnusableInput for an empty list of recordings, and for a folder given twice."""
     if not paths:
         raise UnusableInput("no recording given; expected one or more recording folders")
-    if same := _repeated([Path(path).resolve() for path in paths], paths):
+    places = [Path(path).resolve() for path in paths]
+    for same in (path for path, place in zip(paths, places, strict=True) if places.count(place) > 1):
         raise UnusableInput(f"{same}: is given more than once; expected each recording once; remove one")
 
 
-def _repeated(keys: Sequence[Any], items: Sequence[Any]) -> str:
-    """The first item whose key occurs more than once; empty without."""
-    return next((str(item) for key, item in zip(keys, items, strict=True) if keys.count(key) > 1), "")
-
-
 def read_recording(path: str | Path, placed: bool = True) -> RecordingFolder:
-    """The recording in the folder `path`; raises UnusableInput with a message of one line for unusable content.
-
-    `placed`: whether the anchors of ranges must be in rig.toml, as all trackers need them; `survey` places them.
-    """
+    """The recording in a folder; raises UnusableInput. `placed`: whether its anchors must be in rig.toml."""
     path = Path(path)
     rig, files, notices, others = _contents(path)
     tables, ignored = {}, []
@@ -337,18 +291,8 @@ def read_recording(path: str | Path, placed: bool = True) -> RecordingFolder:
     return RecordingFolder(rig.name, path, rig, tables, tuple(notices))
 
 
-def read_truth(path: Path) -> RecordingFolder:
-    """The recording in the folder `path` with its truth alone, if it has one; raises as `read_recording`."""
-    rig, files, _, _ = _contents(path)
-    truth = {name: read_table(file, name, rig)[0] for name, file in files.items() if name == "truth"}
-    return RecordingFolder(rig.name, path, rig, truth)
-
-
 def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "parquet") -> None:
-    """Writes the recording to the folder `path`, completely or not at all.
-
-    Raises UnusableInput if `path` is a file or a folder that is not empty, or cannot be written.
-    """
+    """Writes the recording to a new or empty folder, whole or not at all; raises UnusableInput where it cannot."""
     if kind not in get_args(Kind):
         raise UnusableInput(f"kind = {kind!r}, expected one of {', '.join(get_args(Kind))}")
     path = Path(path)
@@ -361,12 +305,12 @@ def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "par
             (partial / RIG_FILE).write_text(rig_text(folder.rig), encoding="utf-8")
             for name, table in folder.tables.items():
                 file = partial / f"{name}.{kind}"
-                if kind == "csv.gz":
-                    # Without name and time in the gzip header, equal tables give equal bytes.
-                    with file.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as packed:
-                        table.write_csv(cast(IO[bytes], packed))
+                if kind == "parquet":
+                    table.write_parquet(file)
                 else:
-                    table.write_csv(file) if kind == "csv" else table.write_parquet(file)
+                    # Without name and time in the gzip header, equal tables give equal bytes.
+                    text = table.write_csv().encode()
+                    file.write_bytes(text if kind == "csv" else gzip.compress(text, 6, mtime=0))
             if path.exists():
                 path.rmdir()  # some systems do not rename onto an empty folder
             partial.rename(path)
@@ -378,29 +322,16 @@ def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "par
 
 
 def _contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[str]]:
-    """The rig, the file of each table, at least one, notices, and the names of other tables.
-
-    Raises UnusableInput for a folder or rig that cannot be read, without a table, with two files for one table, and for
-    a misspelt name.
-    """
+    """The rig, the file of each table, notices, and the names of other tables; raises UnusableInput."""
     if has_control(str(path)):
         raise UnusableInput(f"{path}: has a control character or bytes that are no UTF-8 in its name; rename it")
     try:
         entries = sorted(entry.name for entry in path.iterdir())
-    except FileNotFoundError:
-        raise UnusableInput(f"{path}: does not exist, expected a recording folder; check the path") from None
-    except NotADirectoryError:
-        raise UnusableInput(f"{path}: is a file, expected a recording folder; give the folder of the file") from None
     except OSError as error:
-        raise UnusableInput(f"{path}: folder cannot be read ({error.strerror}); check its permissions") from error
-    kinds = table_kinds()
-    if not any(entry == RIG_FILE or entry.partition(".")[0] in kinds for entry in entries):
-        raise UnusableInput(
-            f"{path}: neither {RIG_FILE} nor a table, expected a recording folder, or folders of these; give another"
-        )
+        fix = "expected a recording folder; check the path"
+        raise UnusableInput(f"{path}: cannot be read ({error.strerror}), {fix}") from error
     rig, notices = read_rig(path / RIG_FILE)
-    files: dict[str, Path] = {}
-    others = []
+    kinds, files, others = table_kinds(), dict[str, Path](), list[str]()
     for entry in entries:
         stem = entry.partition(".")[0]
         if entry != RIG_FILE and is_part(entry):

@@ -18,18 +18,12 @@ from trackwright.trackers.core.errors import UnusableInput
 
 T = TypeVar("T")
 
-LARGEST = 2**31
-"""Bytes of the largest file that is read: some 50 million rows of a table."""
-
-LARGEST_NUMBER = 1e9
-"""Size of the largest number in a file of geometry, beyond all coordinates on Earth; squares of squares stay finite."""
+LARGEST = 2**31  # bytes of the largest file that is read: some 50 million rows of a table
+LARGEST_NUMBER = 1e9  # largest in a file of geometry: squares of squares stay finite
 
 
 def file_bytes(path: Path, most: int = -1) -> bytes:
-    """The content of a regular file, or its first `most` bytes.
-
-    Raises OSError for a pipe or device, which may have no end, and for a whole file beyond `LARGEST`.
-    """
+    """The content of a file, or its first `most` bytes; raises OSError for pipes and devices, and beyond `LARGEST`."""
     status = path.stat()
     if not (path.is_file() or path.is_dir()):
         raise OSError(errno.EINVAL, "is a pipe or device, not a file", path)
@@ -65,13 +59,11 @@ def read_toml(path: Path, expected: str) -> dict[str, Any]:
         raise UnusableInput(f"{path}: is not valid TOML: {reason}; expected {expected}; {fix}") from error
 
 
-AS_FILE = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
-"""Of a dataclass whose fields are the keys of a file."""
+AS_FILE = ConfigDict(extra="forbid", arbitrary_types_allowed=True)  # of a dataclass whose fields are the keys of a file
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
 Positive = Annotated[Number, Field(gt=0.0)]
-Count = Annotated[int, Field(strict=True, ge=0)]
-"""Numbers of a file: finite, and of at most `LARGEST_NUMBER` in size."""
+Count = Annotated[int, Field(strict=True, ge=0)]  # numbers of a file: finite, and of at most `LARGEST_NUMBER` in size
 
 
 def _numbers(value: Any) -> Any:
@@ -83,15 +75,11 @@ def _numbers(value: Any) -> Any:
     return array.astype(float)
 
 
-NUMBERS = BeforeValidator(_numbers)
-"""Turns lists of a file into an array, of a dataclass's field."""
+NUMBERS = BeforeValidator(_numbers)  # turns lists of a file into an array, of a dataclass's field
 
 
 def read_model(path: Path, model: type[T], expected: str, fix: str = "", version: int | None = None) -> T:
-    """The content of a TOML file as a pydantic model or a dataclass; raises UnusableInput with the key.
-
-    `expected`: the content in words. `fix`: the usual remedy, which ends a refusal. `version`: the file's `format`.
-    """
+    """The content of a TOML file by a schema, of `format` = `version`; raises UnusableInput with the key."""
     content, fix = read_toml(path, expected), fix or f"{path.name} has {expected}"
     if version is not None and (given := content.pop("format", None)) is not version:
         found = "no format" if given is None else f"format = {given!r}"

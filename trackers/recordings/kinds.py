@@ -23,17 +23,15 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Point, Rig, angles_in_array
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 
-UNITS = {"m": "m", "rad": "rad", "mps": "m/s", "mps2": "m/s²", "radps": "rad/s"}
-"""Unit in words by the ending of a column."""
+UNITS = {"m": "m", "rad": "rad", "mps": "m/s", "mps2": "m/s²", "radps": "rad/s"}  # by the ending of a column
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*_(m|rad|mps2?|radps)")
 
 
 class Sensors(NamedTuple):
-    """The sensors of N readings, k each; k is 0 for what a tag measures without anchors and stations.
+    """The k sensors of each of N readings: `number` (N, k) of G, whose `axes` take array-frame vectors to the world.
 
-    `number` (N, k): which of the G anchors or stations. `places` (G, 3) m; `axes` (G, 3, 3): array-frame vectors to
-    world-frame ones. `antennas` (G, m, 2) m, NaN for those that a station lacks, and `wavelengths` (G,) m.
+    Of stations with phases also `antennas`, m, NaN for those that one lacks, and `wavelengths`, m.
     """
 
     number: Int[np.ndarray, "N k"]
@@ -54,11 +52,9 @@ class Sensors(NamedTuple):
 
 
 class Column(NamedTuple):
-    """A column with values, whose name ends with its unit: `_m`, `_rad`, `_mps`, `_mps2` or `_radps`.
+    """A column whose name ends with its unit. `bound`: largest usual size; `positive`: zero and below is no reading.
 
-    `bias`: a median error up to this is a property of the sensor. `large`: errors up to this need no explanation;
-    `floor`: smaller ones cannot be told apart. `bound`: the largest angle, or the size up to which speeds and rates
-    are usual. `positive`: zero and below is no reading.
+    Errors up to `bias` are a sensor's own, up to `large` need no explanation, below `floor` are not told apart.
     """
 
     name: str
@@ -90,15 +86,12 @@ class Layout(NamedTuple):
 
 @dataclass(frozen=True)
 class Kind:
-    """A table of recordings, and of measurements the values that true positions and the rig predict.
+    """A table of recordings, and the values that true positions and the rig predict.
 
-    `name`: of the table. `columns`: those with values; `numbered`: its one column, with `{n}` in its name, is repeated
-    from 1. `sensors`: the columns with the ids of a reading's anchors or stations. `predicted(positions, sensors)`: the
-    values (N, m) at positions (N, 3), m; None where positions do not predict them. `averaged`: whether a mean over some
-    tenths of a second is a reading again. `common`: whether a row has an unknown offset common to its columns.
-    `attitude`: whether the table may have a quaternion. `difference`: whether its values are the distance to one anchor
-    less that to another, at most their own distance. `calibrated`: the part of a calibration that concerns it.
-    Raises UnusableInput for names that the format cannot hold.
+    `columns`: with values; `numbered`: its one column, with `{n}`, is repeated from 1. `sensors`: columns with ids.
+    `predicted(positions, sensors)`: values (N, m) at positions (N, 3), m, or None. `averaged`: a mean over
+    tenths of a second is a reading again. `common`: a row has an unknown offset. `attitude`: it may have a quaternion.
+    `difference`: values are a distance to one anchor less one to another. `calibrated`: its part of a calibration.
     """
 
     name: str
@@ -113,15 +106,13 @@ class Kind:
     calibrated: Literal["stations", "anchors"] | None = None
 
     def __post_init__(self) -> None:
-        units = "_m, _rad, _mps, _mps2 or _radps"
-        lower = "a name of a table in lower case, such as bistatic"
-        wrong = [(f"{self.name!r}", lower)] * (not re.fullmatch(r"[a-z][a-z0-9_]*", self.name))
-        names = [column.name for column in self.columns if not _NAME.fullmatch(column.name.replace("{n}", "1"))]
-        wrong += [(f"{self.name}: column {name!r}", f"a name that ends with its unit, {units}") for name in names]
-        others = [sensor for sensor in self.sensors if not sensor.startswith(("anchor", "station"))]
-        wrong += [(f"{self.name}: sensor {name!r}", "anchor, anchor_2 … or station") for name in others]
-        for found, expected in wrong:
-            raise UnusableInput(f"kind {found}: expected {expected}")
+        names = [column.name.replace("{n}", "1") for column in self.columns]
+        for wrong in [
+            *[f"name {self.name!r}, expected lower case"] * (not re.fullmatch(r"[a-z][a-z0-9_]*", self.name)),
+            *[f"column {n!r}, expected a unit at its end: {', '.join(UNITS)}" for n in names if not _NAME.fullmatch(n)],
+            *[f"sensor {n!r}, expected anchor … or station" for n in self.sensors if n[:6] not in ("anchor", "statio")],
+        ]:
+            raise UnusableInput(f"kind {self.name}: {wrong}")
 
     @cached_property
     def noun(self) -> str:
@@ -144,11 +135,6 @@ class Kind:
         return [column.name for column in self.columns] == ["azimuth_rad", "elevation_rad"]
 
     @cached_property
-    def distance(self) -> bool:
-        """Whether its values are a distance, of which zero and below is no reading."""
-        return self.columns[0].positive
-
-    @cached_property
     def shown(self) -> tuple[str, float]:
         """The unit in which its errors are shown, and how many of it are one of its own."""
         return ("°", math.degrees(1.0)) if self.angles else (f" {self.unit}", 1.0)
@@ -165,10 +151,7 @@ class Kind:
         return tuple(column.name.replace("{n}", "1") for column in self.columns)
 
     def layout(self, columns: Sequence[str]) -> Layout:
-        """Its columns in a table with `columns`, on which the number of numbered ones depends.
-
-        Quality belongs to signals, so that kinds without anchors and stations have none.
-        """
+        """Its columns in a table with `columns`; kinds without anchors and stations have no signal quality."""
         names, stds = self.least, tuple[str, ...]()
         if self.numbered:
             before, after = map(re.escape, self.columns[0].name.split("{n}"))
@@ -222,11 +205,7 @@ class Kind:
 
 
 class Measured(NamedTuple):
-    """The readings of a table, and the anchors or stations of each.
-
-    `ids`: of the anchors or stations that `sensors` numbers. `columns`: those with values. `values` (N, m): NaN where
-    one is missing.
-    """
+    """The readings (N, m) of `columns`, NaN where missing, and their anchors or stations, numbered in `ids`."""
 
     kind: Kind
     ids: tuple[str, ...]
@@ -267,6 +246,10 @@ def wrapped(differences: Float[np.ndarray, "N m"], columns: Sequence[str]) -> Fl
     return np.where(angles, np.mod(differences + np.pi, 2 * np.pi) - np.pi, differences)
 
 
+def _angles(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
+    return angles_in_array(sensors.in_array(positions))
+
+
 def _phases(positions: np.ndarray, sensors: Sensors) -> np.ndarray:
     """Phases of spherical waves, up to one offset of all antennas."""
     x, y, z = sensors.in_array(positions)
@@ -283,41 +266,23 @@ _POSITION = (Column("x_m", 0.0, 0.25, 0.05), Column("y_m", 0.0, 0.25, 0.05), Col
 _ANGLES = math.radians(5.0), math.radians(12.0), math.radians(2.0)
 _IMU = [f"accel_{axis}_mps2" for axis in "xyz"] + [f"gyro_{axis}_radps" for axis in "xyz"]
 
+_RANGE = (Column("range_m", 1.0, 0.3, 0.05, positive=True),)
+_DIFFERENCE = (Column("range_difference_m", 0.5, 0.3, 0.05),)
+_BEARING = (Column("azimuth_rad", *_ANGLES), Column("elevation_rad", *_ANGLES, bound=math.pi / 2))
+_PHASE, _PAIR = (Column("phase_{n}_rad", 0.5, 0.8, 0.1),), ("anchor", "anchor_2")
 _KINDS = (
-    Kind(
-        "ranges",
-        (Column("range_m", bias=1.0, large=0.3, floor=0.05, positive=True),),
-        ("anchor",),
-        lambda positions, sensors: sensors.distances(positions),
-        averaged=True,
-        calibrated="anchors",
-    ),
-    Kind(
-        "tdoa",
-        (Column("range_difference_m", bias=0.5, large=0.3, floor=0.05),),
-        ("anchor", "anchor_2"),
-        lambda positions, sensors: -np.diff(sensors.distances(positions), axis=1),
-        averaged=True,
-        difference=True,
-    ),
-    Kind("fixes", _POSITION, (), lambda positions, sensors: positions, averaged=True),
-    Kind(
-        "bearings",
-        (Column("azimuth_rad", *_ANGLES), Column("elevation_rad", *_ANGLES, bound=math.pi / 2)),
-        ("station",),
-        lambda positions, sensors: angles_in_array(sensors.in_array(positions)),
-        averaged=True,
-        calibrated="stations",
-    ),
-    Kind("phases", (Column("phase_{n}_rad", 0.5, 0.8, 0.1),), ("station",), _phases, common=True, numbered=True),
+    Kind("ranges", _RANGE, ("anchor",), lambda at, of: of.distances(at), averaged=True, calibrated="anchors"),
+    Kind("tdoa", _DIFFERENCE, _PAIR, lambda at, of: -np.diff(of.distances(at)), averaged=True, difference=True),
+    Kind("fixes", _POSITION, (), lambda at, of: at, averaged=True),
+    Kind("bearings", _BEARING, ("station",), _angles, averaged=True, calibrated="stations"),
+    Kind("phases", _PHASE, ("station",), _phases, common=True, numbered=True),
     Kind("imu", tuple(map(Column, _IMU)), attitude=True),
     Kind("odometry", (Column("speed_mps", bound=10.0), Column("yaw_rate_radps", bound=10.0))),
 )
 KINDS: dict[str, Kind] = {kind.name: kind for kind in _KINDS}
 """The kinds of measurement by name of their table, in the order in which they are listed."""
 
-TRUTH = Kind("truth", _POSITION, attitude=True)
-"""The table of true positions."""
+TRUTH = Kind("truth", _POSITION, attitude=True)  # the table of true positions
 
 
 def table_kinds() -> dict[str, Kind]:
@@ -325,21 +290,11 @@ def table_kinds() -> dict[str, Kind]:
     return {**KINDS, TRUTH.name: TRUTH}
 
 
-def layout(name: str, columns: Sequence[str]) -> Layout:
-    """The columns of the table `name` that has `columns`."""
-    return table_kinds()[name].layout(columns)
-
-
 def distinct(table: pl.DataFrame, kind: Kind) -> pl.DataFrame:
     """The table without rows whose time, ids and values repeat a row before; rows without a value stay."""
     ids, values, *_ = kind.layout(table.columns)
     empty = pl.all_horizontal(pl.col(values).is_null())
     return table.filter(pl.struct("t_s", *ids, *values).is_first_distinct() | empty)
-
-
-def duplicates_line(table: str, count: int) -> str:
-    """What a notice says of duplicate rows."""
-    return f"{table}: duplicate rows: {count}; counted once"
 
 
 def first_time(frames: Mapping[str, pl.DataFrame]) -> float:
@@ -350,10 +305,7 @@ def first_time(frames: Mapping[str, pl.DataFrame]) -> float:
 
 
 def add_kind(kind: Kind) -> Kind:
-    """Adds a user's kind of measurement to those that recordings are read with; returns it.
-
-    One of the same name that a user added before is replaced. Raises UnusableInput for the name of a built-in table.
-    """
+    """Adds a user's kind to those that are read; returns it. Raises UnusableInput for a built-in name."""
     if kind.name in _BUILT_IN:
         raise UnusableInput(f"kind {kind.name!r}: is a table of the format; give another name")
     KINDS[kind.name] = kind

@@ -28,32 +28,25 @@ from trackwright.trackers.recordings.checks.readings import (
     repeated_share,
 )
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
-from trackwright.trackers.recordings.kinds import KINDS, distinct, duplicates_line, std_column, table_kinds
+from trackwright.trackers.recordings.kinds import KINDS, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec, faults_named
 from trackwright.trackers.recordings.tracks import Tracks, track
 from trackwright.trackers.recordings.trajectories import Trajectories
 
 Recordings = RecordingFolder | Sequence[RecordingFolder]
 
-FAR_M = 1000.0
-"""Distance of x or y from zero, m, from which on coordinates are a map's if it is also larger than the site."""
-
-HELD = 0.5
-"""Least share of the repeats that chance does not explain where a source repeats its readings."""
-
-CLEAR = 1.5
-"""Least size of a clear change, in steps."""
+FAR_M = 1000.0  # x or y, m, from which on coordinates are a map's, if beyond the site
+HELD = 0.5  # least share of the repeats that chance does not explain where a source repeats its readings
+CLEAR = 1.5  # least size of a clear change, in steps
 
 
 @dataclass(frozen=True, repr=False)
 class NamedTracker:
     """A tracker of the catalogue, or a user's own, for recording folders.
 
-    `tracker`: the tracker of the first trajectory of the recordings it was made for. `side`: above or below, where tags
-    are of anchors in one plane. `values`: physical numbers by tunable name or shell pattern that replace the defaults
-    in every recording; `source`: where they come from, for messages. `smoothed`: whether each row uses the later rows,
-    too, `lag` seconds of them or all. A recording with other stations or anchors gets a tracker of its own geometry
-    with the same numbers. `made_for`: the recordings that it was made for and their rows, made only once.
+    `tracker`: of the first trajectory it was made for. `side`: of tags, above or below anchors in one plane. `values`:
+    numbers by tunable name or pattern, from `source`, in every recording. `smoothed`: with `lag` seconds of later rows,
+    or all. Other geometry gets a tracker of its own. `made_for`: recordings and their rows, made only once.
     """
 
     name: str
@@ -81,11 +74,7 @@ class NamedTracker:
     def run(
         self, recordings: Recordings, advance: Callable[[int], None] = lambda done: None, *, seed: int = 0
     ) -> Tracks:
-        """The estimates of every tag of one recording or several; `advance` gets the number of trajectories done.
-
-        `seed`: of the random numbers of filters that draw any. Raises UnusableInput for a recording that lacks what the
-        tracker reads, and for values that do not fit it.
-        """
+        """The estimates of every tag; `advance` gets the number done, `seed` is of filters that draw."""
         return self.track(self.batches(recordings), advance, seed=seed)
 
     def track(
@@ -96,11 +85,7 @@ class NamedTracker:
             return track(batches, advance, seed)
 
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
-        """The trajectories of the recordings and the trackers that run them, with this tracker's numbers.
-
-        Values that a source repeats are used once: `TrackerBatch.notices`. Recordings in map coordinates are about an
-        origin nearby, `trajectory.folder.origin`; estimates of `run` are not.
-        """
+        """The trajectories, about an origin nearby, each reading once, and their trackers with these numbers."""
         folders = folder_list(recordings)
         made_for, groups = self.made_for
         # Rows of long recordings take longer to make than to filter.
@@ -109,10 +94,7 @@ class NamedTracker:
         return [replace(g, tracker=self._finished(with_values(g.tracker, self.values, self.source))) for g in groups]
 
     def only_batch(self, recordings: Recordings) -> TrackerBatch:
-        """All trajectories of the recordings for one and the same tracker, as a fit needs them.
-
-        Raises UnusableInput where they need several: those have no numbers in common.
-        """
+        """All trajectories for one tracker, as a fit needs them; raises UnusableInput where they need several."""
         groups = self.batches(recordings)
         if len(groups) != 1:
             raise UnusableInput(
@@ -132,10 +114,7 @@ class NamedTracker:
         return replace(self, tracker=tracker, values={**self.values, **values}, source=str(source))
 
     def smoothing(self, lag: float | None = None) -> NamedTracker:
-        """This tracker with fixed-interval smoothing, or with the next `lag` seconds of each row only.
-
-        Raises UnusableInput for a lag that is no positive number, and for trackers without a smoother.
-        """
+        """This tracker, smoothed by all later rows or `lag` seconds of them; raises UnusableInput where it cannot."""
         if lag is not None and not 0 < lag < 1e6:
             raise UnusableInput(f"lag {lag}: expected seconds above zero; leave it out to use the whole recording")
         smoother = replace(self, smoothed=True, lag=lag)
@@ -156,8 +135,7 @@ class NamedTracker:
         return finished
 
     def __repr__(self) -> str:
-        smoothed = f", smoothed over {self.lag:g} s" if self.lag else ", smoothed" if self.smoothed else ""
-        return f"<tracker {self.name}: {self.spec.about}{smoothed}; tunables {', '.join(self.tunables)}>"
+        return f"<tracker {self.name}: {self.spec.about}; tunables {', '.join(self.tunables)}>"
 
 
 def _batches(
@@ -186,17 +164,13 @@ def folder_list(recordings: Recordings) -> list[RecordingFolder]:
 
 
 def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[RecordingFolder, list[str]]:
-    """The recording without duplicate rows, and without the values that a source only repeats in the tables of `names`.
-
-    Also a line for each table with repeats, and with duplicates that the folder's notices do not count. Rows of
-    repeated values stay, without a value, and so do all in a recording with an interval of averages, zero included.
-    """
+    """A recording without duplicate rows and, in `names`, values that a source only repeats; a line for each table."""
     tables, lines = dict[str, pl.DataFrame](), list[str]()
     for name in (n for n in KINDS if n in folder.tables):
         kind, rows = KINDS[name], distinct(folder.tables[name], KINDS[name])
         own = folder
         if duplicates := folder.tables[name].height - rows.height:
-            own, line = replace(folder, tables={name: rows}), duplicates_line(name, duplicates)
+            own, line = replace(folder, tables={name: rows}), f"{name}: duplicate rows: {duplicates}; counted once"
             tables[name] = rows
             lines += [f"{folder.name}: {line}"] * (line not in folder.notices)
         if folder.average_s is not None or not kind.averaged or name not in names:
@@ -232,10 +206,7 @@ def source_repeats(read: Readings) -> bool:
 
 
 def chance_of_repeat(moved: np.ndarray, step: float) -> float:
-    """A bound of the probability that a change (n,) in steps of `step` is zero by chance; 0 without steps.
-
-    The changes follow a clear one. Of a log-concave distribution of the change, in steps, P(0) ≤ P(1)²/P(2).
-    """
+    """A bound of P(0) of changes (n,) in steps after a clear one: P(1)²/P(2) if log-concave; 0 without steps."""
     if step == 0.0:
         return 0.0
     one, two = (np.count_nonzero(np.round(np.abs(moved) / step) == k) / 2 for k in (1, 2))
@@ -243,10 +214,7 @@ def chance_of_repeat(moved: np.ndarray, step: float) -> float:
 
 
 def with_rounding(folder: RecordingFolder, names: Collection[str]) -> RecordingFolder:
-    """The recording with the standard deviation of their rounding, step/√12, for readings that report none.
-
-    Tables of these names without standard deviations. Averages have the step of the readings averaged.
-    """
+    """The recording with the rounding's standard deviation, step/√12, for readings of these tables that report none."""
     tables = dict[str, pl.DataFrame]()
     for name in (n for n in KINDS if n in folder.tables and n in names):
         kind, table = KINDS[name], folder.tables[name]
@@ -260,10 +228,7 @@ def with_rounding(folder: RecordingFolder, names: Collection[str]) -> RecordingF
 
 
 def near_origin(folder: RecordingFolder) -> RecordingFolder:
-    """The recording about an origin of whole metres in the middle of its site, or as it is if that is near zero.
-
-    The site is the rig's, or, where this has no geometry, of most fixes. Heights are unchanged.
-    """
+    """The recording about whole metres in the middle of its site (of most fixes without geometry), unless near zero."""
     rig = folder.rig
     corners = [x for x in (rig.path_knots, rig.outline) if x is not None]
     points = np.concatenate([np.array([p[:2] for p in rig.places()]).reshape(-1, 2), *corners, rig.all_walls()[:, :2]])

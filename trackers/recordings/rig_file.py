@@ -61,8 +61,7 @@ class _Station(_Table):
         if self.rotation_wxyz is not None and angles != [None, None, None]:
             raise ValueError("has rotation_wxyz and yaw_deg, pitch_deg or roll_deg, expected one of them")
         if (self.antennas_m is None) != (self.wavelength_m is None):
-            has, lacks = ("antennas_m", "wavelength_m")[:: -1 if self.antennas_m is None else 1]
-            raise ValueError(f"has {has} but no {lacks}; a station with phases needs both")
+            raise ValueError("has one of antennas_m and wavelength_m; a station with phases needs both")
         return self
 
     def station(self) -> Station:
@@ -155,18 +154,12 @@ def read_rig(path: Path) -> tuple[Rig, tuple[str, ...]]:
 
 
 def mounted(yaw: float, pitch: float, roll: float) -> np.ndarray:
-    """The unit quaternion w, x, y, z, array frame to world frame, of a station with these angles, rad.
+    """The quaternion w, x, y, z of a station: Rz(yaw) Ry(pitch) Rx(roll), rad, of x ahead, y left and z up."""
+    from scipy.spatial.transform import Rotation
 
-    With zero angles the boresight is along x and the station level. Turned about the world's z by yaw, which is to the
-    left, then about its own horizontal axis by pitch, downwards, then about its boresight by roll: Rz Ry Rx of a body
-    with x ahead, y left and z up.
-    """
-    half = np.array([roll, pitch, yaw]) / 2
-    (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
-    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
-    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
-    # Times (1, 1, 1, 1)/2: the array's x is left, y up and z ahead.
-    return np.array([w - x - y - z, w + x + y - z, w - x + y + z, w + x - y + z]) / 2
+    # The array's x is left, y up and z ahead.
+    turned = Rotation.from_euler("ZYX", [yaw, pitch, roll]) * Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
+    return np.roll(turned.as_quat(), 1)
 
 
 def rig_text(rig: Rig) -> str:

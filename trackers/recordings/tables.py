@@ -22,14 +22,9 @@ from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.kinds import Kind, Layout, table_kinds, unit_of
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
-MARK = b"PAR1"
 
-JITTER_S, JITTER = 1.0, 5.0
-"""Rows count as late, and are sorted, up to this many s, or median steps of their sensor and tag."""
-
-LEAST_AGAIN = 5
-"""Rows that repeat earlier times from which a clock went back."""
-
+JITTER_S, JITTER = 1.0, 5.0  # late rows are sorted up to so many s, or median steps
+LEAST_AGAIN = 5  # rows that repeat earlier times from which a clock went back
 WRAPS = {2.0**32 * 1e-6: "2³² µs (4294.967 s)", 2.0**32 * 1e-3: "2³² ms (4294967.296 s)"}
 """Periods of counters of 32 bits, s, in words."""
 
@@ -37,16 +32,14 @@ _LARGEST = 1e15  # its square is within the range of a 32-bit float
 _LATEST = 1e20  # beyond nanoseconds since 1970
 
 _FOUND = {
-    r"\d{4}-.*": "it looks like a date, which `trackwright import` reads by 't_s={column} in iso'",
-    r"\d{1,4}([-/.])(?:\d{1,2}|[A-Za-z]{3})\1\d{1,4}(?:[T ].*)?": (
-        "it looks like a date, which `trackwright import` reads by 't_s={column} in dd/mm/yyyy', or its own order"
+    r"\d{4}-.*": "it looks like a date: `trackwright import` with 't_s={column} in iso'",
+    r"\d{1,4}([-/.])(\d{1,2}|[A-Za-z]{3})\1\d{1,4}([T ].*)?": (
+        "it looks like a date: `trackwright import` with 't_s={column} in dd/mm/yyyy', or its own order"
     ),
-    r"\d{1,2}:\d\d(?::.*)?": (
-        "it looks like a time of day, which `trackwright import` reads by 't_s={column} in hh:mm:ss'"
-    ),
-    r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?": "it looks like a decimal comma, which `trackwright import --decimal ,` reads",
-    r"[-+]?\d{1,3}([,.' ])\d{3}(?:\1\d{3}|[.,]\d)\d*.*|[-+]?\d{1,3}[' ]\d{3}": (
-        "thousands are grouped in it, which `trackwright import --thousands {mark!r}` reads"
+    r"\d{1,2}:\d\d(:.*)?": "it looks like a time of day: `trackwright import` with 't_s={column} in hh:mm:ss'",
+    r"[-+]?\d+,\d+([eE][-+]?\d+)?": "it looks like a decimal comma: `trackwright import --decimal ,`",
+    r"[-+]?\d{1,3}([,.' ])\d{3}(\1\d{3}|[.,]\d)\d*.*|[-+]?\d{1,3}[' ]\d{3}": (
+        "thousands are grouped in it: `trackwright import --thousands {mark!r}`"
     ),
     r"[^ \d]*": "leave a missing cell empty, or name its mark: `trackwright import --missing={text}`",
 }
@@ -55,10 +48,7 @@ _FOUND = {
 
 @dataclass(frozen=True)
 class TableFile:
-    """The columns of a file before any check: text of CSV, typed of Parquet.
-
-    `lines`: the line number of each row, None for Parquet. `decimal`, `thousands`: the marks in numbers that are text.
-    """
+    """Raw columns, text of CSV, typed of Parquet; `lines`: of CSV rows; `decimal`, `thousands`: marks in numbers."""
 
     path: Path
     frame: pl.DataFrame
@@ -82,9 +72,7 @@ class TableFile:
 
 def first_row(rows: pl.Series) -> int:
     """The number of the first row that is true, of which there is one."""
-    row = rows.arg_max()
-    assert row is not None
-    return int(row)
+    return int(rows.arg_max() or 0)
 
 
 def remedy(text: str, column: str) -> str:
@@ -115,8 +103,6 @@ def _content(path: Path) -> bytes:
 def read_parquet(path: Path) -> pl.DataFrame:
     """The columns of a Parquet file; raises UnusableInput for a broken file."""
     data = _content(path)
-    if not data.startswith(MARK) or not data.endswith(MARK):
-        raise UnusableInput(f"{path}: is not a complete Parquet file (start or end mark missing); write it again")
     try:
         return pl.read_parquet(io.BytesIO(data))
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
@@ -162,11 +148,7 @@ def _csv(path: Path) -> TableFile:
 
 
 def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl.DataFrame, list[str], list[str]]:
-    """The table in `path`, sorted by time, null where a value is missing, notices of changes, and ignored columns.
-
-    Ids are String, all other columns Float64. Columns of signal quality are kept where all cells are numbers. `placed`:
-    whether all anchors and stations must be in the rig. Raises UnusableInput with file, row and column.
-    """
+    """A table sorted by time, notices, ignored columns; or UnusableInput. `placed`: sensors must be in the rig."""
     file, kind = read_table_file(path), table_kinds()[name]
     expected, ignored = _columns(file, kind)
     times = _numbers(file, "t_s", _LATEST)
@@ -278,25 +260,23 @@ def _check_sensors(file: TableFile, frame: pl.DataFrame, kind: Kind, rig: Rig) -
         file.refuse(frame[first] == frame[second], second, f"another than {first}")
     if not kind.numbered:
         return
-    phases = kind.layout(frame.columns).values
-    counts = {}
-    for station in frame[kind.noun].unique(maintain_order=True):
-        antennas = rig.stations[station].antennas
-        if antennas is None:
-            raise UnusableInput(
-                f"{file.path}: station {station!r} has phases but no antennas_m and wavelength_m in rig.toml; "
-                "add both, or give its angles in the table bearings"
-            )
-        counts[station] = len(antennas)
-    names = [kind.columns[0].name.format(n=n + 1) for n in range(max(counts.values()))]
+    stations = {name: rig.stations[name].antennas for name in frame[kind.noun].unique(maintain_order=True)}
+    bare = pl.Series([name for name, antennas in stations.items() if antennas is None], dtype=pl.String)
+    no_array = (
+        "a station with antennas_m and wavelength_m in rig.toml; add both, or give its angles in the table bearings"
+    )
+    file.refuse(frame[kind.noun].is_in(bare.implode()), kind.noun, no_array)
+    counts = {name: len(antennas) for name, antennas in stations.items() if antennas is not None}
+    phases, most = kind.layout(frame.columns).values, max(counts.values())
+    names = [kind.columns[0].name.format(n=n + 1) for n in range(most)]
     if {*phases} != {*names}:
         raise UnusableInput(
             f"{file.path}: {len(phases)} phase columns, expected {names[0]} … {names[-1]}, one for each antenna of the "
             "largest station in rig.toml; leave the cell of an antenna without a phase empty"
         )
     for number, column in enumerate(names):
-        fewer = pl.Series([station for station, count in counts.items() if count <= number], dtype=pl.String)
-        beyond = frame["station"].is_in(fewer.implode()) & frame[column].is_not_null()
+        fewer = pl.Series([name for name, count in counts.items() if count <= number], dtype=pl.String)
+        beyond = frame[kind.noun].is_in(fewer.implode()) & frame[column].is_not_null()
         file.refuse(beyond, column, "an empty cell, since the station has fewer antennas in rig.toml")
 
 
@@ -329,10 +309,7 @@ def unwrapped_times(t: np.ndarray) -> tuple[np.ndarray, list[str]]:
 
 
 def restarted_at(t: np.ndarray) -> int | None:
-    """The first row of times (n,), s, at which they go back and then repeat times that they had before; None without.
-
-    Late rows do not, which fill a gap, nor duplicates, nor rows in any order, whose steps are as large.
-    """
+    """The first of times (n,), s, that goes back and repeats earlier times, unlike late rows; or None."""
     latest = np.maximum.accumulate(t)
     behind = t < latest - max(JITTER_S, JITTER * float(np.median(np.abs(np.diff(t, prepend=t[0])))))
     for start, end in np.flatnonzero(np.diff(behind, prepend=False, append=False)).reshape(-1, 2):

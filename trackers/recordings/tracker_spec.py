@@ -19,8 +19,7 @@ from trackwright.trackers.core.user_file import fault_of, split_name
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_height
 
-Key = tuple[bool, Hashable]
-"""Whether the state of a batch lies in a plane, and the part of the installation that is built into its tracker."""
+Key = tuple[bool, Hashable]  # whether a batch is planar, and the installation built into its tracker
 
 
 @contextmanager
@@ -40,11 +39,7 @@ def faults_named(tracker: str, name: str, function: Callable[..., Any]) -> Itera
 
 @dataclass(frozen=True)
 class TrackerBatch:
-    """Trajectories that one tracker runs as a batch.
-
-    `planar`: whether the state lies in a plane: the floor at known heights, or a flat array's. `notices`:
-    one line for readings used once, and for what a recording has that its tracker leaves out of account.
-    """
+    """Trajectories that one tracker runs as a batch; `planar`: the state lies in a plane, as of the floor."""
 
     tracker: AbstractTracker
     trajectories: Sequence[Trajectory]
@@ -104,10 +99,7 @@ class TrackerSpec:
         return f"{folder.path or folder.name}: tracker '{name}' needs {missing}; its tables: {', '.join(folder.tables)}"
 
     def batches(self, folders: Sequence[RecordingFolder], name: str, free_height: bool = False) -> list[TrackerBatch]:
-        """The trajectories of all folders, batched where one tracker serves them.
-
-        Raises UnusableInput for a folder that does not fit; `name` is the tracker's in the message.
-        """
+        """The trajectories of all folders, batched by tracker; raises UnusableInput for one that lacks something."""
         grouped: dict[Key, list[Trajectories]] = defaultdict(list)
         for folder in folders:
             if refused := self.refusal(folder, name):
@@ -123,9 +115,6 @@ class TrackerSpec:
         with faults_named(name, "build", self.build):
             built = [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
         for batch in built if split_name(name)[0] else ():
-            if not isinstance(batch.tracker, AbstractTracker):
-                found = type(batch.tracker).__name__
-                raise UnusableInput(f"{name}: build returned {found}; expected a tracker; usual fix: return one")
             with faults_named(name, "run", self.build):
                 check_input(batch.tracker, batch.trajectories[0].recording, name)
         return built

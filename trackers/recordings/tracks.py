@@ -19,18 +19,12 @@ from trackwright.trackers.recordings.tracker_spec import TrackerBatch
 from trackwright.trackers.recordings.tracks_table import HEADING
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
 
-MAX_BATCH = 8 * CHUNK
-"""Trajectories in memory at once: as many on every machine, since a batch's last chunk has a shape of its own."""
+MAX_BATCH = 8 * CHUNK  # trajectories in memory at once, on every machine
 
 
 @dataclass(frozen=True, repr=False)
 class Tracks:
-    """The estimates of all trajectories of one or more recordings.
-
-    `table`: one row per time of a trajectory, the columns of tracks.parquet (docs/formats.md). `summaries`: how many
-    trajectories ended how, as `ok` or `lost and re-started`. `batches`: the trajectories, with the trackers that ran
-    them.
-    """
+    """The estimates of recordings: a row per time of a trajectory, how many ended how, and the batches that ran."""
 
     table: pl.DataFrame
     summaries: dict[str, int]
@@ -53,17 +47,12 @@ class Tracks:
         return frame_html(repr(self), self.table)
 
     def __repr__(self) -> str:
-        count = sum(self.summaries.values())
         ended = ", ".join(f"{n} {words}" for words, n in self.summaries.items())
-        noun = "trajectory" if count == 1 else "trajectories"
-        return f"<Tracks: {len(self.table)} estimates of {count} {noun}: {ended}>"
+        return f"<Tracks: {len(self.table)} estimates; trajectories: {ended}>"
 
 
 def batches(trajectories: Iterable[Trajectory], seed: int = 0, truth: bool = True) -> list[tuple[Trajectories, Batch]]:
-    """The trajectories in batches of at most `MAX_BATCH`, with similar lengths together, padded to few lengths.
-
-    `seed`: of the random numbers of filters that draw any. `truth`: whether the batches have it.
-    """
+    """The trajectories in batches of at most `MAX_BATCH`, similar lengths together; `seed`: of filters that draw."""
     joined = Trajectories.of(trajectories)
     lengths = np.diff(joined.columns.starts)
     ordered = np.argsort(lengths, kind="stable")
@@ -79,10 +68,7 @@ def rounded(rows: int) -> int:
 
 
 def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambda done: None, seed: int = 0) -> Tracks:
-    """The estimates of all batches of trajectories; `advance` is called with the number of trajectories done.
-
-    `seed`: of the random numbers of filters that draw any.
-    """
+    """The estimates of all batches; `advance` gets the number of trajectories done; `seed`: of filters that draw."""
     tables, endings = list[pl.DataFrame](), Counter[str]()
     for group in groups:
         # Covariances of large states have hundreds of entries.
@@ -131,10 +117,7 @@ def _table(trajectories: Trajectories, number: np.ndarray, times: np.ndarray, es
 
 
 def _positions(estimates: Estimates, height: np.ndarray, origins: np.ndarray) -> dict[str, np.ndarray]:
-    """Positions with their standard deviations and covariances, m and m², and velocities, m/s, if the state has any.
-
-    `height` (N,), m, for states without one; `origins` (N, 2): x and y, m, from which the states have theirs.
-    """
+    """Positions about `origins` (N, 2), m, of `height` (N,) without one, spreads, velocities and heading."""
     mean, every_sigma = [np.asarray(x) for x in estimates.mean.position], estimates.sigmas
     mean[:2] = [np.asarray(x, float) + origin for x, origin in zip(mean, origins.T, strict=False)]
     sigmas = [every_sigma[f"position.{k}"] for k in range(len(mean))]
@@ -148,18 +131,16 @@ def _positions(estimates: Estimates, height: np.ndarray, origins: np.ndarray) ->
     velocity = [np.asarray(x) for x in getattr(estimates.mean, "velocity", ())]
     columns |= {f"v{a}_mps": v for a, v in zip(AXES, velocity, strict=False)}
     attitude = getattr(estimates.mean, "attitude", None)
+    if attitude is None:
+        return columns
     if isinstance(attitude, Heading):
-        kept = {f"std_{HEADING}": every_sigma[name] for name in ("attitude.0",) if name in every_sigma}
-        return columns | {HEADING: _half_turns(attitude.angle)} | kept
-    if attitude is not None:
+        angle = np.asarray(attitude.angle)
+    else:
         w, x, y, z = (np.asarray(q) for q in (attitude.w, attitude.x, attitude.y, attitude.z))
-        columns[HEADING] = _half_turns(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    return columns
-
-
-def _half_turns(angle: Any) -> np.ndarray:
-    """Angles, rad, in (−π, π]."""
-    return np.asarray(np.pi - (np.pi - np.asarray(angle)) % (2 * np.pi))
+        angle = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    columns[HEADING] = np.pi - (np.pi - angle) % (2 * np.pi)
+    has_spread = isinstance(attitude, Heading) and "attitude.0" in every_sigma
+    return columns | ({f"std_{HEADING}": every_sigma["attitude.0"]} if has_spread else {})
 
 
 def angles(estimates: Estimates) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, has_control
-from trackwright.trackers.recordings.folder import RecordingFolder, is_part, read_truth
+from trackwright.trackers.recordings.folder import RecordingFolder, is_part, read_recording
 from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.tables import read_parquet
@@ -18,14 +18,9 @@ from trackwright.trackers.recordings.tables import read_parquet
 TRACKS, EVALUATION, SOURCES = "tracks.parquet", "evaluation.json", "recordings.txt"
 """Files in the output folder of `trackwright track`: estimates, error metrics, a path of a recording per line."""
 
-RECORDINGS, RESULTS = "recordings", "results.csv"
-"""In the output folder of an archive: the folder of the finished recordings, and the table of results."""
-
-HEADING = "heading_rad"
-"""The column with the heading of a body, from x towards y."""
-
-NO_ESTIMATE = ("waiting", "non-finite")
-"""Values of `status` of rows without an estimate."""
+RECORDINGS, RESULTS = "recordings", "results.csv"  # of an archive: its parts, its table
+HEADING = "heading_rad"  # the column with the heading of a body, from x towards y
+NO_ESTIMATE = ("waiting", "non-finite")  # values of `status` of rows without an estimate
 
 
 def read_tracks(folder: Path | str) -> pl.DataFrame:
@@ -82,7 +77,7 @@ def read_archive(out: Path) -> tuple[list[RecordingFolder], list[str]]:
     truths, refused = list[RecordingFolder](), list[str]()
     for name, source in rows.select("recording", "path").iter_rows():
         try:
-            truth = replace(read_truth(Path(source)), name=name)
+            truth = replace(read_recording(Path(source)), name=name)
             if "truth" not in truth.tables:
                 raise UnusableInput(f"{source}: no truth table, expected one to evaluate against")
             truths.append(truth)

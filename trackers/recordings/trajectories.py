@@ -34,7 +34,6 @@ class Trajectories(Sequence[Trajectory]):
         self, folders: Sequence[RecordingFolder], tags: Sequence[str], stations: Sequence[str], columns: Columns
     ) -> None:
         self.folders, self.tags, self.stations, self.columns = folders, tags, stations, columns
-        self._views: dict[int, Trajectory] = {}
 
     @classmethod
     def of(cls, trajectories: Iterable[Trajectory]) -> Trajectories:
@@ -61,10 +60,8 @@ class Trajectories(Sequence[Trajectory]):
         if isinstance(which, slice):
             return self.chosen(np.arange(len(self))[which])
         number = range(len(self))[which]
-        if number not in self._views:
-            recording = self.columns.recording(number)
-            self._views[number] = Trajectory(self.folders[number], self.tags[number], self.stations[number], recording)
-        return self._views[number]
+        recording = self.columns.recording(number)
+        return Trajectory(self.folders[number], self.tags[number], self.stations[number], recording)
 
     def chosen(self, index: np.ndarray) -> Trajectories:
         """The trajectories with these numbers, in their order."""
@@ -99,11 +96,7 @@ def trajectories_of(
     inputs: Mapping[str, np.ndarray],
     stations: Sequence[str] | None = None,
 ) -> Trajectories:
-    """The trajectories of these tags, and of `stations` for bearings, with their rows as columns: see `Columns`.
-
-    Adds the truth, position or direction from the station, and the input `height` (N,), m, zero where the rig gives
-    none for the tag.
-    """
+    """The trajectories of tags (and `stations`) with these rows, truth, and the input `height`, zero if unknown."""
     position, status = folder.paths.at(tags, starts, times)
     known = (status == TruthStatus.SCORED) & np.isfinite(position).all(axis=1)
     position = position if known.all() else np.where(known[:, None], position, 0.0)
@@ -120,11 +113,7 @@ def trajectories_of(
 
 
 def kind_trajectories(folder: RecordingFolder, kind: Kind) -> Trajectories:
-    """Each tag's readings of a kind, named after it, one row per row of the table, with their reported variances.
-
-    With the inputs `places` (N, 3k) m and `sensors` (N, k): the positions and numbers of the k anchors or stations of
-    each row, and `middle` (N, 3) m, the mean position of all of them.
-    """
+    """Each tag's readings of a kind, with the inputs `places` (N, 3k), `sensors` (N, k) and `middle` (N, 3) of all."""
     rows = folder.rows(kind.name)
     measured = kind.measured(folder.rig, rows)
     number, there, columns = measured.sensors.number, measured.sensors.places, measured.columns

@@ -26,7 +26,7 @@ from trackwright.trackers.parts.range_rows import (
 )
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.recent_positions import latest_rows
-from trackwright.trackers.recordings.columns import QUATERNION, TableRows, TagRows
+from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
@@ -134,15 +134,15 @@ def _tags_on_bodies(folder: RecordingFolder) -> list[str]:
     return list(_bodies(folder))
 
 
-def _ranges_by_body(folder: RecordingFolder) -> TableRows:
+def _ranges_by_body(folder: RecordingFolder) -> TagRows:
     """As `_ranges_of_bodies`, of all tags on bodies."""
     return _ranges_of_bodies(folder, _bodies(folder))
 
 
-def _ranges_of_bodies(folder: RecordingFolder, bodies: Mapping[str, Sequence[str]]) -> TableRows:
+def _ranges_of_bodies(folder: RecordingFolder, bodies: Mapping[str, Sequence[str]]) -> TagRows:
     """The ranges of all tags on the body of each tag, of which the column `carrier` holds the one ranged to."""
     table = folder.tables["ranges"].with_columns(pl.col("tag").cast(pl.String))
-    return TableRows(
+    return TagRows(
         pl.concat(
             table.filter(pl.col("tag").is_in(body)).with_columns(pl.col("tag").alias(CARRIER), tag=pl.lit(tag))
             for tag, body in sorted(bodies.items())
@@ -290,7 +290,7 @@ def lacks_ranges_or_imu(folder: RecordingFolder) -> str | None:
     for name in ("ranges", "imu"):
         if name not in folder.tables:
             return f"a {name} table, found no such table"
-    count = folder.rows("ranges").count("anchor", sorted(folder.rig.anchors))
+    count = len(np.unique(folder.rows("ranges").codes("anchor", sorted(folder.rig.anchors))))
     return None if count >= MIN_ANCHORS else f"ranges to at least {MIN_ANCHORS} anchors, found {count}"
 
 

@@ -15,7 +15,7 @@ from trackwright.trackers.core.data.recording import Columns, Readings
 from trackwright.trackers.parts.range_rows import room_of_anchors
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import layout
+from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.trackers.recordings.trajectories import Trajectories, known_height, trajectories_of
 
 
@@ -138,7 +138,7 @@ def tilting_tags(
     `read`: the table of the tags' other readings. `without`: the tracker of these alone, which names that with an IMU.
     """
     table = folder.tables["imu"]
-    columns, dt = layout("imu", table.columns).values, pl.col("t_s").diff().clip(0.0, HOLD_S).fill_null(0.0)
+    columns, dt = KINDS["imu"].layout(table.columns).values, pl.col("t_s").diff().clip(0.0, HOLD_S).fill_null(0.0)
     for tag in () if QUATERNION[0] in table.columns else folder.rows(read).tags:
         if free_height or known_height(folder, tag) is None:
             continue

@@ -221,8 +221,8 @@ def test_errors_of_angles_are_wrapped_and_those_between_directions_on_the_great_
     ("tracks", "truth", "words"),
     [
         (_tracks([0.5], [0.0]).drop("tag"), _truth([0.0], [0.0]), "the tracks: no column tag"),
-        (_tracks([0.5], [0.0], status=[1]), _truth([0.0], [0.0]), "column status holds Int64; expected words"),
-        (_tracks([0.5], ["east"]), _truth([0.0], [0.0]), "column x_m holds String"),
+        (_tracks([0.5], [0.0], status=[1]), _truth([0.0], [0.0]), "column status holds numbers"),
+        (_tracks([0.5], ["east"]), _truth([0.0], [0.0]), "column x_m holds text"),
         (_tracks([0.5], [0.0]), _truth([0.0], [0.0]).drop("x_m"), "truth of recording 'hall': no column x_m"),
         (_tracks([0.5], [0.0]), _truth([0.0], [0.0]).clear(), "no estimate lies inside a truth"),
         (

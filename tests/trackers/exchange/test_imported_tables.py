@@ -16,7 +16,6 @@ from trackwright.trackers.exchange.expressions import columns_of
 from trackwright.trackers.exchange.importing import format_of, import_frames, read_source
 from trackwright.trackers.exchange.mapping import ORIGIN, PRESETS, TableMapping, read_mapping
 from trackwright.trackers.exchange.trajectories import read_trajectory
-from trackwright.trackers.recordings.kinds import layout
 
 RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7": np.array([0.0, 4, 2])})
 WIDE = ("t_s=t", "range_m[A1]=d1", "range_m[A2]=d2")
@@ -135,8 +134,8 @@ def test_a_time_is_read_from_two_columns_a_clock_a_date_or_days(tmp_path, expres
     ],
 )
 def test_an_expression_is_the_arithmetic_it_says(tmp_path, target, text, value, expected):
-    table = next(name for name in ("ranges", "bearings", "imu") if target in layout(name, ()).values)
-    ids, values = layout(table, ())[:2]
+    table = next(name for name in ("ranges", "bearings", "imu") if target in table_kinds()[name].layout(()).values)
+    ids, values = table_kinds()[table].layout(())[:2]
     entries = {"t_s": "t"} | dict.fromkeys(ids, "'A1'") | dict.fromkeys(values, "d") | {target: text}
     pl.DataFrame({"t": [1.0], "d": [value]}).write_parquet(tmp_path / "x.parquet")
     (row,) = _read(tmp_path / "x.parquet", [f"{k}={v}" for k, v in entries.items()], table, None)[0][table]

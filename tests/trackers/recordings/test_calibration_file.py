@@ -51,26 +51,13 @@ def path(tmp_path):
     return write_calibration(CALIBRATION, tmp_path / "calibration.toml")
 
 
-def test_a_calibration_is_read_back_to_the_bit(path):
+def test_a_calibration_is_read_back_to_the_bit(path, tmp_path):
     found = read_calibration(path)
-    assert found.recordings == CALIBRATION.recordings
-    assert found.tags == CALIBRATION.tags
-    assert found.range_spread == CALIBRATION.range_spread
-    np.testing.assert_array_equal(found.anchors["A"].position, CALIBRATION.anchors["A"].position)
-    station, other = found.stations["S 1"].mounted, CALIBRATION.stations["S 1"].mounted
-    np.testing.assert_array_equal(station.position, other.position)
-    np.testing.assert_array_equal(station.rotation, other.rotation)
+    assert write_calibration(found, tmp_path / "again.toml").read_text("utf-8") == path.read_text("utf-8")
+    assert (found.recordings, found.tags, found.range_spread) == (("walk 1", "walk 2"), CALIBRATION.tags, 0.0583)
+    np.testing.assert_array_equal(found.stations["S 1"].coefficients, CALIBRATION.stations["S 1"].coefficients)
+    np.testing.assert_array_equal(found.stations["S 1"].mounted.rotation, [0.5, 0.5, 0.5, 0.5])
     assert found.stations["S 2"].mounted is None
-    for kind, names in (
-        ("stations", ("coefficients", "covariances", "spans")),
-        ("anchors", ("coefficients", "covariance", "span")),
-    ):
-        one, other = getattr(found, kind), getattr(CALIBRATION, kind)
-        assert list(one) == list(other)
-        for key in one:
-            assert one[key].rows == other[key].rows
-            for name in names:
-                np.testing.assert_array_equal(getattr(one[key], name), getattr(other[key], name))
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +11,10 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 import trackwright as tw
-from trackwright.trackers.recordings.checks.readings import Readings
-from trackwright.trackers.recordings.named_tracker import chance_of_repeat, counted_once, source_repeats
+from trackwright.trackers.recordings.named_tracker import chance_of_repeat, counted_once
 
 IDS, NAMES = ["tag", "anchor"], ["ranges"]
-SIGMA, STEP = "sensors.fixes.sigma_horizontal", 0.3
+STEP = 0.3
 
 
 def _ranges(held, seed=5, step=0.01):
@@ -46,13 +44,6 @@ def test_rows_that_repeat_a_value_lose_it_and_stay(held):
         assert counted_once(kept, names) == (kept, [])
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_values_that_are_held_on_the_way_to_an_anchor_or_away_from_it_are_told(sign):
-    values = 20.0 + sign * 0.01 * np.repeat(np.cumsum(np.random.default_rng(3).integers(3, 9, 200)), 2)
-    read = Readings(("range_m",), np.zeros(400, int), np.round(values[:, None], 2))
-    assert source_repeats(read)
-
-
 def test_estimates_are_those_without_the_rows_that_repeat_and_no_surer_than_their_errors():
     folder, _ = _ranges(0.5)
     named = tw.build("uwb", folder)
@@ -67,13 +58,6 @@ def test_estimates_are_those_without_the_rows_that_repeat_and_no_surer_than_thei
     folder, _ = _ranges(0.6)
     once, often = (tw.evaluate(named.run(f), f).overall for f in (folder, folder.averaged(0)))
     assert once["coverage_95"] > often["coverage_95"] + 0.05
-
-
-def test_trackers_that_count_rows_read_every_row():
-    folder, _ = _ranges(0.5)
-    (batch,) = tw.build("multilateration", folder).batches(folder)
-    assert batch.notices == ()
-    assert all(t.recording.readings["ranges"].seen.any() for t in batch.trajectories)
 
 
 @pytest.mark.parametrize(("sigma", "most"), [(0.5, np.inf), (1.0, 2.5), (3.0, 1.2), (10.0, 1.1)])
@@ -114,18 +98,6 @@ def fine_and_coarse():
 def _with_std(folder, std):
     fixes = folder.tables["fixes"].with_columns(**{f"{axis}_std_m": pl.lit(std) for axis in "xyz"})
     return replace(folder, tables={**folder.tables, "fixes": fixes})
-
-
-def test_the_variance_of_a_step_is_added_once_in_that_recording_alone(fine_and_coarse):
-    small = tw.build("fix-kf", fine_and_coarse).with_values({SIGMA: 0.01})
-    summed = small.with_values({SIGMA: math.sqrt(0.01**2 + STEP**2 / 12)})
-    table = small.run(fine_and_coarse).to_polars()
-    for folder, expected in zip(fine_and_coarse, (small, summed), strict=True):
-        alone = expected.run(_with_std(folder, 0.0))
-        own = table.filter(pl.col("recording") == folder.name)
-        for name in ("x_m", "std_x_m", "nis"):
-            # The step is found to a part in a million.
-            np.testing.assert_allclose(own[name], alone.to_polars()[name], rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import pytest
 
 from tests.faulty import RIG, write_good
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import ABANDONED_S, PREFIX, atomic_write, json_text, remove_abandoned
+from trackwright.trackers.recordings.atomic import atomic_write, json_text
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.input_file import read_arrays, read_toml
 from trackwright.trackers.recordings.tracks_table import require_output
@@ -37,16 +37,6 @@ def test_a_failure_leaves_the_old_file_and_no_partial_one(tmp_path, error, raise
     with pytest.raises(raised):
         atomic_write(tmp_path / "out.json", half)
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("out.json", "old")]
-
-
-def test_what_a_killed_process_left_a_day_ago_is_removed_and_nothing_else(tmp_path):
-    for name in (".hidden", "target", f"{PREFIX}new", f"{PREFIX}old"):
-        (tmp_path / name).touch()
-        if name != f"{PREFIX}new":
-            os.utime(tmp_path / name, (0.0, 0.0))
-    assert ABANDONED_S < 1e6
-    remove_abandoned(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".hidden", f"{PREFIX}new", "target"]
 
 
 def test_json_is_strict_and_takes_arrays():
@@ -106,17 +96,12 @@ def test_control_characters_are_refused_in_ids_names_and_folders(tmp_path):
         require_output(folder / "out")
 
 
-def test_a_damaged_archive_of_arrays_is_a_value_error_or_its_arrays(tmp_path):
+def test_a_damaged_archive_of_arrays_is_a_value_error(tmp_path):
     path = tmp_path / "a.npz"
     np.savez_compressed(path, x=np.zeros(10), y=np.arange(3))
     assert {name: x.tolist() for name, x in read_arrays(path).items()} == {"x": [0.0] * 10, "y": [0, 1, 2]}
     whole = path.read_bytes()
-    damaged = [whole[:k] + bytes([whole[k] ^ 255]) + whole[k + 1 :] for k in range(0, len(whole), 7)]
-    refused = 0
-    for data in [*damaged, b"", whole[:50]]:
+    for data in (b"", whole[:50], whole[:-60], bytes([whole[0] ^ 255]) + whole[1:]):
         path.write_bytes(data)
-        try:
+        with pytest.raises(ValueError, match="zip|data"):
             read_arrays(path)
-        except ValueError:
-            refused += 1
-    assert refused > len(damaged) // 2

@@ -11,9 +11,7 @@ import pytest
 
 import trackwright as tw
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.checks.rules import check_units
 from trackwright.trackers.recordings.named_tracker import near_origin
-from trackwright.trackers.recordings.tracks import Tracks
 
 MAP = np.array([5e5, 5.4e6])
 
@@ -76,21 +74,3 @@ def test_everything_with_a_place_is_about_the_middle_of_the_site_and_recordings_
     np.testing.assert_allclose(again.outline, [[-4, -3], [4, -3], [4, 3]])
     assert moved.tables["truth"].row(0) == (0.0, "1", -2.0, 0.0, 1.0)
     assert moved.tables["fixes"].row(0) == (0.0, "1", 4.0, 3.0, 1.0)
-
-
-def test_a_place_left_at_the_origin_of_the_map_neither_holds_the_site_there_nor_passes_the_check():
-    anchors = {name: np.array([x, y, 2.0]) for name, x, y in (("A", 0, 0), ("B", 8, 0), ("C", 8, 6), ("D", 0, 6))}
-    folder = _on_the_map(tw.RecordingFolder("hall", None, Rig("hall", anchors=anchors), {}))
-    left = replace(folder, rig=replace(folder.rig, anchors=folder.rig.anchors | {"spare": np.zeros(3)}))
-    assert near_origin(left).origin == near_origin(folder).origin == (5e5 + 4, 5.4e6 + 3)
-    (found,) = check_units(left.rig, {})
-    assert (found.level, found.message[:7]) == ("error", "spare: ")
-    assert not [*check_units(folder.rig, {})]
-
-
-def test_wild_fixes_do_not_move_the_origin():
-    x = [*np.linspace(0, 5, 50), 1e30, None]
-    fixes = pl.DataFrame({"t_s": np.arange(52.0), "tag": "1", "x_m": x, "y_m": x, "z_m": 0.0})
-    folder = tw.RecordingFolder("yard", None, Rig("yard"), {"fixes": fixes})
-    assert near_origin(folder) is folder
-    assert isinstance(tw.build("fix-kf", _on_the_map(folder)).run(_on_the_map(folder)), Tracks)

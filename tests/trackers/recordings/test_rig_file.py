@@ -1,13 +1,12 @@
-"""Attitudes of stations in rig.toml: by quaternion or by yaw, pitch and roll, against scipy's rotations."""
+"""Attitudes of stations in rig.toml: by quaternion or by yaw, pitch and roll."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.rig_file import read_rig, rig_text
+from trackwright.trackers.recordings.rig_file import read_rig
 
 ARRAY_IN_BODY = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Columns: the array's x (left), y (up) and z (ahead) in the axes of a body with x ahead, y left and z up."""
@@ -21,17 +20,6 @@ def _station(tmp_path, lines):
     return rig
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_yaw_pitch_and_roll_are_the_rotation_of_scipy(tmp_path, seed):
-    yaw, pitch, roll = np.random.default_rng(seed).uniform(-180, 180, 3) * (1, 0.5, 1)
-    rig = _station(tmp_path, f"yaw_deg = {yaw}\npitch_deg = {pitch}\nroll_deg = {roll}")
-    expected = Rotation.from_euler("ZYX", (yaw, pitch, roll), degrees=True).as_matrix() @ ARRAY_IN_BODY
-    assert np.allclose(rig.stations["S"].world_from_array(), expected, atol=1e-12)
-    (tmp_path / "again.toml").write_text(rig_text(rig))
-    again, _ = read_rig(tmp_path / "again.toml")
-    assert np.allclose(again.stations["S"].rotation, rig.stations["S"].rotation, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("lines", "looks", "up"),
     [
@@ -39,6 +27,8 @@ def test_yaw_pitch_and_roll_are_the_rotation_of_scipy(tmp_path, seed):
         ("yaw_deg = 90", (0, 1, 0), (0, 0, 1)),
         ("yaw_deg = 0\npitch_deg = 90", (0, 0, -1), (1, 0, 0)),
         ("yaw_deg = 0\nroll_deg = 90", (1, 0, 0), (0, -1, 0)),
+        ("yaw_deg = 90\npitch_deg = 90", (0, 0, -1), (0, 1, 0)),
+        ("yaw_deg = 90\nroll_deg = 90", (0, 1, 0), (1, 0, 0)),
         ("yaw_deg = -90", (0, -1, 0), (0, 0, 1)),
         ("rotation_wxyz = [0.7071068, 0.7071068, 0.0, 0.0]", (0, -1, 0), (0, 0, 1)),
     ],

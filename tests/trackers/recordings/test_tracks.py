@@ -155,38 +155,3 @@ def test_the_status_of_a_line_is_the_worst_that_happened_and_still_holds(rows, l
     for name in ("log_likelihood", "nis", "wrapped"):
         assert getattr(merged, name)[1] == within
     assert merged.nis_dof.tolist() == [1.0, len(rows), 2.0]
-
-
-def test_rows_are_merged_by_their_own_time_not_by_that_for_which_they_are_valid():
-    rows, age = 1.7e9 + np.array([0.1, 0.1, 0.3, 0.4, 0.4, 0.4]), np.array([0.1, 0.07, 0.1, 0.2, 1 / 3, 0.2])
-    zero, one, status = np.zeros(6), np.ones(6), np.full(6, OK, np.int8)
-    estimates = Estimates(Placed(Vector(zero)), zero[None], zero, one, one, zero, status, rows - age, ("a",), age)
-    # The third and the fourth row are valid for one time.
-    assert rows[2] - age[2] == pytest.approx(rows[3] - age[3], abs=1e-6)
-    last, merged = estimates.per_time()
-    assert np.flatnonzero(last).tolist() == [1, 2, 5]
-    assert merged.nis.tolist() == estimates.to_polars()["nis"].to_list() == [2.0, 1.0, 3.0]
-    np.testing.assert_array_equal(estimates.per_time(rows)[0], last)
-
-
-def test_a_row_whose_nis_overflows_is_left_out_of_nis_and_degrees_of_freedom_alike():
-    nis, dof, times = np.array([1.0, np.inf, 2.0]), np.full(3, 2.0), np.zeros(3)
-    zero, status = np.zeros(3), np.full(3, OK, np.int8)
-    estimates = Estimates(Placed(Vector(zero)), zero[None], zero, nis, dof, zero, status, times, ("a",))
-    merged = estimates.per_time()[1]
-    assert (merged.nis.tolist(), merged.nis_dof.tolist()) == ([3.0], [4.0])
-
-
-def test_recordings_of_different_lengths_have_one_line_per_time_each():
-    rng, recordings = np.random.default_rng(5), []
-    for name, rows in (("short", 6), ("long", 11)):
-        times = np.repeat(np.arange(rows) * 0.2, 2)
-        fixes = rng.normal(scale=0.1, size=(2 * rows, 3))
-        recordings.append(tw.fix_recording(times, fixes, truth=np.zeros((2 * rows, 3)), name=name))
-    estimates = tw.fix_tracker().run(recordings)
-    table = estimates.to_polars()
-    assert table.group_by("recording", maintain_order=True).len().rows() == [("short", 6), ("long", 11)]
-    assert table["log_likelihood"].sum() == pytest.approx(estimates.log_likelihood.sum(), rel=1e-12)
-    alone = tw.fix_tracker().run(recordings[0]).to_polars()
-    assert alone["x_m"].to_list() == pytest.approx(table.filter(pl.col("recording") == "short")["x_m"], rel=1e-12)
-    assert tw.evaluate(estimates, recordings)["n"] == 17

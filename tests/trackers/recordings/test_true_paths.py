@@ -1,10 +1,11 @@
-"""Truth of many tags at once, against NumPy's interpolation of each path by itself."""
+"""Truth of many tags at once, against NumPy's interpolation of each path by itself; times of counters that wrap."""
 
 import numpy as np
 import pytest
 
 from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S
 from trackwright.trackers.recordings.columns import TruePaths, TruthStatus
+from trackwright.trackers.recordings.tables import unwrapped_times
 
 
 def _alone(at, times, positions):
@@ -55,3 +56,12 @@ def test_headings_are_unknown_where_the_attitudes_have_a_hole():
     np.testing.assert_array_equal(np.isfinite(found), known)
     turned = found[known] - np.interp(at[known], times, yaw)
     np.testing.assert_allclose(np.remainder(turned + np.pi, 2 * np.pi) - np.pi, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("period", [2**32 * 1e-6, 2**32 * 1e-3])
+def test_a_counter_of_32_bits_that_wraps_is_unwrapped_and_named(period):
+    t = 0.1 * np.arange(200) + period - 7.0
+    found, (notice,) = unwrapped_times(t % period)
+    np.testing.assert_allclose(found, t, rtol=1e-9)
+    assert "2³² " in notice
+    assert unwrapped_times(t)[1] == []

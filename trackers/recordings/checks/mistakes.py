@@ -104,7 +104,7 @@ def changes(view: Compared) -> Iterator[Change]:
         yield Change(words, cause, apply, each and field == "values", "height" if words.endswith(" x, y, -z") else "")
     yield from _exchanged(view) if kind.sensors and len(view.ids) <= MOST_SWAPPED else ()
     yield from [*(_of_rig(view) if kind.sensors else ()), *_of_truth(view)] if true else ()
-    if np.isfinite(view.heights).any() and kind.distance:
+    if np.isfinite(view.heights).any() and kind.columns[0].positive:
         cause, free = "height_m, or z of the anchors, in rig.toml is wrong; measure again", np.nan * view.heights
         yield Change("the height of the tags left free", cause, lambda v, _: v._replace(heights=free))
 

@@ -235,7 +235,7 @@ def compared(recording: RecordingFolder, table: str) -> Compared | None:
 def located(recording: RecordingFolder, table: str) -> Compared | None:
     """Moments of a table with more ranges or bearings than a position takes; None for too few."""
     kind = KINDS[table]
-    if len(kind.sensors) != 1 or not (kind.angles or kind.distance):
+    if len(kind.sensors) != 1 or not (kind.angles or kind.columns[0].positive):
         return None
     whole = _whole(recording, kind)
     view = whole.of_rows(np.flatnonzero(np.isfinite(whole.values[:MOST_ROWS]).all(axis=1)))

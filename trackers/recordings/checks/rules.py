@@ -19,7 +19,7 @@ from trackwright.trackers.core.model.rig import SAY_SIDE, THIN, Rig
 from trackwright.trackers.core.wording import counted, significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.columns import QUATERNION
-from trackwright.trackers.recordings.kinds import KINDS, Kind, duplicates_line, table_kinds
+from trackwright.trackers.recordings.kinds import KINDS, Kind, table_kinds
 
 Tables = Mapping[str, pl.DataFrame]
 Results = Iterator[CheckResult]
@@ -112,7 +112,11 @@ def check_units(rig: Rig, tables: Tables) -> Results:
     for name, one in zip(named, away, strict=False):
         if one > max(FAR_M, 20 * float(np.median(away))):
             yield CheckResult("error", "rig.toml", f"{name}: {one:,.5g} m from the others; correct its coordinates")
-    lengths = [tables[name][kind.columns[0].name] for name, kind in KINDS.items() if name in tables and kind.distance]
+    lengths = [
+        tables[name][kind.columns[0].name]
+        for name, kind in KINDS.items()
+        if name in tables and kind.columns[0].positive
+    ]
     if len(rig.anchors) > 1 and lengths and (typical := lengths[0].abs().median()) is not None:
         at = np.stack(list(rig.anchors.values()))
         apart = float(np.median(np.sort(np.linalg.norm(at[:, None] - at, axis=-1), axis=1)[:, 1]))
@@ -173,7 +177,7 @@ def check_rows(rig: Rig, tables: Tables) -> Results:
         rows = streams(table.filter(pl.any_horizontal(C(*values).is_not_null())).select("t_s", *ids, *values), ids)
         repeated = rows.filter((DT == 0) | (DT.shift(-1) == 0))
         if exact := repeated.height - repeated.n_unique(["stream", "t_s", *values]):
-            yield CheckResult("warning", *duplicates_line(name, exact).split(": ", 1))
+            yield CheckResult("warning", name, f"duplicate rows: {exact}; counted once")
         if again := repeated.height - repeated.n_unique(["stream", "t_s"]) - exact:
             what = f"rows with the time of another row of the same sensor and tag: {again}; kept"
             yield CheckResult("warning", name, what + "; the stamps have lost digits" * (again > rows.height / 2))
