@@ -44,8 +44,7 @@ COMMANDS = {
 
 RARE, ALL = "Rarely needed", "--help-all"
 SECTIONS = {
-    "Input": "tag from to calibration truth held-out table columns mapping topic rig format header missing "
-    "given",
+    "Input": "tag from to calibration truth held-out table columns mapping topic rig format header missing given",
     "Tracker": "tracker set noise fit smooth lag",
     "Fit": "objective tune freeze bound prior start over repeats",
     "Output": "out figures json fail-if check replace path align-truth transform",

@@ -51,7 +51,7 @@ Figures = Literal["none", "page", "png", "pdf"]
 Weigh = Literal["recordings", "rows"]
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
-"""As `trackers.exchange.pose_errors.Alignment`, which takes longer to import."""
+"""As `trackers.exchange.trajectories.Alignment`, which takes longer to import."""
 
 
 def _names_of_trackers(context: Any) -> list[str]:

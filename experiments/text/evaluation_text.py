@@ -15,7 +15,7 @@ from trackwright.trackers.evaluation.metrics import METRICS, Metric
 from trackwright.trackers.recordings.atomic import json_text
 
 if TYPE_CHECKING:
-    from trackwright.trackers.exchange.pose_errors import Statistics, TrajectoryErrors
+    from trackwright.trackers.exchange.trajectories import Statistics, TrajectoryErrors
 
 SHOWN_TRACKS, SHOWN_RECORDINGS = 10, 5
 """The most tracks listed per recording, and recordings of an archive: the worst."""
@@ -142,7 +142,7 @@ def pose_errors_text(compared: Sequence[TrajectoryErrors], align: str, width: in
         for label, name, factor, of in _rows(track, unit.name, unit.factor):
             digits = unit.digits + 1 if name == unit.name else 3
             table.add_row(track.tag, label, name, str(of["n"]), *(fixed(of[k] * factor, digits) for k in _STATISTICS))
-    scales = [e.similarity.scale for e in compared]
+    scales = [e.alignment.scale for e in compared]
     scale = " to ".join(dict.fromkeys((f"{min(scales):.6g}", f"{max(scales):.6g}")))
     scale = "" if scale == "1" else f", scale {scale}"
     times = f"{worst[0].time_tolerance_s:g} s; time offset {worst[0].time_offset_s:.12g} s"

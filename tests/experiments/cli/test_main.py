@@ -16,7 +16,6 @@ from tests.in_process import trackwright
 from trackwright.experiments.cli import options
 from trackwright.experiments.cli.commands import COMMANDS, SECTIONS, application
 from trackwright.sim import worlds
-from trackwright.trackers.exchange import pose_errors
 from trackwright.trackers.recordings.folder import write_recording
 
 MEMBERS = ("station", "line", "ranges", "tdoa", "fusion", "body", "tool", "agv")
@@ -133,4 +132,4 @@ def test_a_device_that_is_not_there_is_one_line(simulated, tmp_path):
 
 
 def test_choices_are_those_of_the_library_which_help_does_not_import():
-    assert get_args(options.Alignment) == get_args(pose_errors.Alignment)
+    assert get_args(options.Alignment) == get_args(trajectories.Alignment)

@@ -19,7 +19,7 @@ from tests.trackers.recordings.checks.made import (
     with_columns,
 )
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.exchange.truth_frame import parsed_placement
+from trackwright.trackers.exchange.importing import moved_truth
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.checks.compared import compared, moments, robust_fit
 from trackwright.trackers.recordings.checks.imu import between, check_imu, imu_rows, true_attitude
@@ -132,9 +132,9 @@ def test_a_truth_in_another_frame_and_late_is_named_with_the_numbers_that_bring_
     moved = with_columns("truth", x_m=c * x - s * y + 50.0, y_m=s * x + c * y, t_s=T + 0.35)
     folder = moved(only("ranges", "truth")(hall()))
     (error,) = quick_check(folder)
-    placement = parsed_placement(error.message.rpartition(" ")[2])
-    assert placement.later == pytest.approx(-0.35, abs=0.02)
-    truth = placement.of_table(folder.tables["truth"])
+    transform = error.message.rpartition(" ")[2]
+    assert float(transform.split(",")[4]) == pytest.approx(-0.35, abs=0.02)
+    truth, _ = moved_truth(folder.tables["truth"], folder, transform)
     assert quick_check(replace(folder, tables={**folder.tables, "truth": truth})) == []
 
 
