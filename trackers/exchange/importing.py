@@ -186,8 +186,7 @@ def import_frames(
     """A recording from pandas or polars frames by table, checked as if it were read from a folder.
 
     `rig`: the geometry, or the path of a rig.toml. `columns`: by table, expressions such as `t_s=stamp in ms`
-    (docs/import.md); columns that have the name of their target need none. `tag`: the id of all rows, where no column
-    has it. `name`: of the recording, by default that of the rig. Raises UnusableInput.
+    (docs/import.md). `tag`: the id of all rows, where no column has it. Raises UnusableInput.
     """
     require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
     expected = "expressions by table, as {'ranges': ['range_m=distance in mm']}"

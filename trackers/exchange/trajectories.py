@@ -32,7 +32,6 @@ from trackwright.trackers.recordings.tables import check_stds, restarted_at, unw
 from trackwright.trackers.recordings.tracks_table import is_bearing, read_tracks
 
 TUM = ("t_s", *AXES, *QUATERNION[1:], QUATERNION[0])
-_TUM_WORDS = "8 numbers in each line: time in s, x, y, z in m, quaternion x, y, z, w; other files: `trackwright import`"
 _TEXT = ("recording", "tag", "station", "status", "wrapped")
 
 
@@ -72,32 +71,24 @@ def stacked(table: pl.DataFrame, names: Sequence[str]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """A map of space: p → `scale` · `rotation` p + `translation`, m; `flat` where it leaves heights alone."""
+    """A map of space: p → `scale` · `rotation` p + `translation`, m."""
 
     rotation: np.ndarray
     translation: np.ndarray
     scale: float = 1.0
-    flat: bool = False
-
-    def points(self, positions: np.ndarray) -> np.ndarray:
-        """The images (n, 3) of positions (n, 3), m; an unknown height stays unknown where heights are left alone."""
-        if self.flat:
-            moved = positions.copy()
-            moved[:, :2] = positions[:, :2] @ self.rotation[:2, :2].T + self.translation[:2]
-            return moved
-        return self.scale * positions @ self.rotation.T + self.translation
 
     def table(self, tracks: pl.DataFrame) -> pl.DataFrame:
-        """The image of a table of poses; where they move, velocities and covariances are left out."""
-        if self.flat and np.array_equal(self.rotation, np.eye(3)) and not self.translation.any():
+        """The image of a table of poses; unknown heights stay so. A move leaves velocities and covariances out."""
+        if np.array_equal(self.scale * self.rotation, np.eye(3)) and not self.translation.any():
             return tracks
-        q = stacked(tracks, QUATERNION)
+        p, q = stacked(tracks, AXES), stacked(tracks, QUATERNION)
+        moved = np.where(np.isnan(p), p, self.scale * np.nan_to_num(p) @ self.rotation.T + self.translation)
         known = np.isfinite(q).all(axis=1)
         turned = Rotation.from_matrix(self.rotation) * Rotation.from_quat(q[known], scalar_first=True)
         q[known] = turned.as_quat(canonical=True, scalar_first=True)
-        columns = dict(zip((*AXES, *QUATERNION), (*self.points(stacked(tracks, AXES)).T, *q.T), strict=True))
         kept = tracks.select(pl.exclude("^(std_.*|cov_.*|v[xyz]_mps|heading_rad)$"))
-        return kept.with_columns(pl.Series(n, x).fill_nan(None) for n, x in columns.items() if n in kept.columns)
+        columns = zip((*AXES, *QUATERNION), (*moved.T, *q.T), strict=True)
+        return kept.with_columns(pl.Series(n, x).fill_nan(None) for n, x in columns if n in kept.columns)
 
 
 def read_tum(path: Path) -> TableFile:
@@ -106,7 +97,8 @@ def read_tum(path: Path) -> TableFile:
     counts = file.frame.select(pl.sum_horizontal(pl.all().is_not_null())).to_series()
     if (counts != len(TUM)).any():
         row = first_row(counts != len(TUM))
-        raise UnusableInput(f"{file.location(row, f'column{counts[row]}')}, the last; expected {_TUM_WORDS}")
+        expected = "8 numbers: time in s, x, y, z in m, quaternion x, y, z, w"
+        raise UnusableInput(f"{file.location(row, f'column{counts[row]}')}, the last; expected {expected}")
     return replace(file, frame=file.frame.rename(dict(zip(file.frame.columns, TUM, strict=True))))
 
 
@@ -149,10 +141,7 @@ def write_trajectory(table: pl.DataFrame, path: Path | str) -> Path:
 def export_tracks(
     run: Path, format: Literal["tum", "csv"], out: Path, tag: str | None = None, force: bool = False
 ) -> Iterator[str]:
-    """Exports the tracks in a folder of `track`, or the truth of a recording; a line for each file.
-
-    `tum`: a file for each track, of one track `out`. `force`: replace a file that exists. Raises UnusableInput.
-    """
+    """Exports the tracks in a folder of `track`, or the truth of a recording; a line for each file."""
     recording = read_recording(run) if (run / RIG_FILE).is_file() else None
     table = read_tracks(run) if recording is None else recording.tables.get("truth")
     if table is None:
@@ -168,10 +157,8 @@ def export_tracks(
         names = (re.sub(r"[^\w.-]", "_", f"{recording}-{tag}")[:100] for recording, tag in parts)
         files = [out] if len(parts) == 1 and out.suffix else [out / f"{name}.tum" for name in names]
         tracks = dict(zip(files, parts.values(), strict=True))
-    if out.is_dir() and any(out.iterdir()):
-        raise UnusableInput(f"--out {out}: is a folder with content; expected a new file or an empty folder")
-    if not force and (old := next((path for path in (out, *tracks) if path.is_file()), None)):
-        raise UnusableInput(f"--out {old}: exists; expected a new file; --force replaces it")
+    if not force and (old := [path for path in tracks if path.exists()]):
+        raise UnusableInput(f"--out {old[0]}: exists; expected a new file; --force replaces it")
     for path, rows in tracks.items():
         write_whole(path, rows.write_csv()) if format == "csv" else write_trajectory(rows, path)
         yield f"wrote {path}: {counted(len(rows), 'pose' if format == 'tum' else 'row')}"
@@ -184,15 +171,15 @@ STEPS = ("1m", "1s")
 
 
 def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estimate") -> Similarity:
-    """The map of least squares from poses to true ones, row k to row k (Umeyama 1991); or UnusableInput.
+    """The map of least squares from poses to true ones, row k to row k (Umeyama 1991), by evo's names of kinds.
 
-    `se2`: in the plane; `scale`: the scale of `sim3` alone; `origin`: the first pose on the first true pose.
+    `se2`: in the plane. Raises UnusableInput.
     """
     require(kind in get_args(Alignment), "align", kind, f"one of {', '.join(get_args(Alignment))}")
     x, y, rotation, translation = estimate.positions, truth.positions, np.eye(3), np.zeros(3)
     axes, n = (2 if kind == "se2" else 3), len(x)
     if kind == "none":
-        return Similarity(rotation, translation, flat=True)
+        return Similarity(rotation, translation)
     if axes == 3 and not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise UnusableInput(f"{name}: it or its truth has no height; expected x, y, z for --align {kind}; use se2")
     if kind == "origin":
@@ -214,7 +201,7 @@ def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estim
     if kind != "scale":
         rotation[:axes, :axes] = (u * signs) @ v
         translation[:axes] = y.mean(axis=0) - scale * rotation[:axes, :axes] @ x.mean(axis=0)
-    return Similarity(rotation, translation, scale, flat=kind == "se2")
+    return Similarity(rotation, translation, scale)
 
 
 def associate(estimate: np.ndarray, truth: np.ndarray, tolerance: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
@@ -342,8 +329,8 @@ def read_poses(
     `truth`: recordings, or a trajectory file of the one tag that the estimates follow. Raises UnusableInput.
     """
     if not truth or not (all(path.is_dir() for path in truth) or [path.is_file() for path in truth] == [True]):
-        expected = "expected recording folders, or one trajectory file, that exist"
-        raise UnusableInput(f"--truth: found {listed(truth) or 'none'}; {expected}")
+        found, expected = listed(truth) or "none", "recording folders, or one trajectory file, that exist"
+        raise UnusableInput(f"--truth: found {found}; expected {expected}")
     tracks, lines = (read_tracks(source), []) if source.is_dir() else read_trajectory(source)
     tag = part.tags[0] if len(part.tags) == 1 else None
     if truth[0].is_dir():
