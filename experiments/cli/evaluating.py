@@ -123,13 +123,13 @@ def print_comparison(
 
 def evaluate_poses(source: Path, truth: Sequence[Path], options: EvaluateOptions) -> int:
     """Evaluates a file of estimates or a folder of `track`; prints the errors, and writes them with `--out`."""
-    from trackwright.trackers.exchange.pose_errors import STEPS, compare_tracks, pooled_names, read_poses
+    from trackwright.trackers.exchange.trajectories import STEPS, compare_tracks, read_poses
 
     given, align, steps = options.poses, options.poses.align or "none", options.poses.rpe or STEPS
     tolerance = 0.01 if given.time_tolerance is None else given.time_tolerance
-    tracks, folders = read_poses(source, truth, options.used.part, align == "none", lambda line: notices([line]))
+    tracks, folders = read_poses(source, truth, options.used.part, lambda line: notices([line]))
     if options.fail_if is not None:
-        condition_of(options.fail_if, [*metric_names(tracks), *pooled_names(steps)])
+        condition_of(options.fail_if, metric_names(tracks))
     moved, compared, evaluation = compare_tracks(tracks, folders, align, given.time_offset, tolerance, steps)
     errors = {"poses": {"align": align, "tracks": [track.to_dict() for track in compared]}}
     text, width = json_text(content(evaluation) | errors), terminal_width()

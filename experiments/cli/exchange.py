@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -16,7 +17,7 @@ FormatName = Annotated[
     Parameter(
         metavar="NAME",
         help="of the file: csv, json, tum, ros, or FILE.py:NAME of a function of your own, from its path to tables; "
-        "default: by its name and first line.",
+        "default: by its ending, else csv.",
     ),
 ]
 """A format by name, or a user's own."""
@@ -52,8 +53,8 @@ def import_source(
         decimal: the mark in the numbers of a table in text.
         transform: brings a truth over to the frame of the rig and the clock of the readings: a turn about z by YAW, °,
             then a shift, m; S, seconds added to its times, may be left out.
-        align_truth: find these numbers by the readings of the recording in --out; a shift in z that they do not
-            determine to 5 cm is left out where it may be zero.
+        align_truth: find these numbers by the readings of the recording in --out; a shift in z without which
+            errors are about as small is left out.
         header: the line of a table in text with the names of columns, or none; default: the first that is no comment.
         skip: lines above a table in text to leave out.
         missing: marks of missing values, such as N/A.
@@ -63,24 +64,23 @@ def import_source(
     """
     from trackwright.experiments.text.terminal import notice
     from trackwright.trackers.core.wording import counted
-    from trackwright.trackers.exchange.expressions import columns_of
     from trackwright.trackers.exchange.importing import import_file
-    from trackwright.trackers.exchange.mapping import TableMapping
+    from trackwright.trackers.exchange.mapping import TableMapping, read_mapping
+    from trackwright.trackers.exchange.text_tables import columns_of
 
-    shared: dict[str, Any] = {"columns": columns_of(columns), "tag": tag}
     form: dict[str, Any] = {
         "topic": topic, "separator": separator, "thousands": thousands, "header": header, "skip": skip,
         "missing": list(missing), "encoding": encoding, "decimal": "" if decimal == "." else decimal,
     }  # fmt: skip
     form = {name: value for name, value in form.items() if value}
-    if form and table is None:
-        raise UnusableInput(
-            f"--{next(iter(form))}: is of one --table; a file of --mapping has it for each of its tables"
-        )
-    given = None if table is None else TableMapping(table=table, **shared, **form)
-    tables, written = import_file(
-        source, out, given, shared, mapping, format, rig, transform, align_truth, replace, notice
-    )
+    if (form and table is None) or (table and mapping):
+        option = next(iter(form), "mapping")
+        raise UnusableInput(f"--{option}: a file of --mapping has tables with their form; give --table or --mapping")
+    added, tables_of = columns_of(columns), [] if mapping is None else read_mapping(mapping)
+    mappings = [dataclasses.replace(m, tag=m.tag or tag, columns={**m.columns, **added}) for m in tables_of]
+    if table is not None:
+        mappings = [TableMapping(table=table, columns=added, tag=tag, **form)]
+    tables, written = import_file(source, out, mappings, tag, format, rig, transform, align_truth, replace, notice)
     rows = ", ".join(f"{table} {counted(len(rows), 'row')}" for table, rows in tables.items())
     own = "" if set(tables) <= {*get_args(Table)} else " --tracker FILE.py:NAME"
     surveyed = "ranges" in written.tables and not written.rig.anchors

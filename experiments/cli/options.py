@@ -51,7 +51,7 @@ Least1 = Annotated[int, Parameter(validator=_number(1))]
 Figures = Literal["none", "page", "png", "pdf"]
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
-"""As `trackers.exchange.pose_errors.Alignment`, which takes longer to import."""
+"""As `trackers.exchange.trajectories.Alignment`, which takes longer to import."""
 
 OPTIONS = Parameter(name="*")  # decorates a dataclass whose fields are options, each explained in its docstring
 

@@ -22,7 +22,7 @@ from trackwright.trackers.evaluation.metrics import METRICS, Metric
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
 
 if TYPE_CHECKING:
-    from trackwright.trackers.exchange.pose_errors import Statistics, TrajectoryErrors
+    from trackwright.trackers.exchange.trajectories import Statistics, TrajectoryErrors
 
 UNLIMITED = 100_000
 """Characters a line where a table is not to be wrapped."""
@@ -228,7 +228,7 @@ def pose_errors_text(compared: Sequence[TrajectoryErrors], align: str, width: in
             numbers = (fixed(of[k] * factor, digits) for k in _STATISTICS)
             rows.append([track.tag, label, name, str(of["n"]), *numbers])
     table = Section("Absolute and relative pose errors", ["tag", "error", "unit", "n", *_STATISTICS], rows, 2).table()
-    scales = [e.similarity.scale for e in compared]
+    scales = [e.alignment.scale for e in compared]
     scale = " to ".join(dict.fromkeys((f"{min(scales):.6g}", f"{max(scales):.6g}")))
     scale = "" if scale == "1" else f", scale {scale}"
     notes = {

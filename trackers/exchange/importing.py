@@ -1,12 +1,13 @@
-"""Files and frames of other programs made recordings: read, put together, checked as any, and written at once."""
+"""Files and frames of other programs made recordings: brought into one frame, checked as any, and written at once."""
 
 from __future__ import annotations
 
+import math
 import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -17,16 +18,95 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed, near, require
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.user_file import fault_of, from_file, split_name
-from trackwright.trackers.exchange.expressions import UNITS, columns_of, parsed
-from trackwright.trackers.exchange.mapping import ORIGIN, Source, TableMapping, read_mapping
-from trackwright.trackers.exchange.text_tables import Reading, read_rows
-from trackwright.trackers.exchange.trajectories import read_tum
-from trackwright.trackers.exchange.truth_frame import moved_truth
+from trackwright.trackers.exchange.mapping import ORIGIN, Source, TableMapping
+from trackwright.trackers.exchange.text_tables import Reading, columns_of, parsed, read_rows
+from trackwright.trackers.exchange.trajectories import Similarity, read_tum
 from trackwright.trackers.recordings.atomic import beside
+from trackwright.trackers.recordings.checks.mistakes import about_vertical
+from trackwright.trackers.recordings.checks.readings import Compared, compared, known_median, robust_fit
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
-from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.kinds import KINDS, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackwright.trackers.recordings.tables import SUFFIXES, TableFile, first_row, unwrapped_times
+
+LONGEST_S, STEP_S = 10.0, 0.5  # differences of the clocks that are searched: some decimetres of motion between two
+FEW, NEAR = 240, 3  # readings of the search, and how many of its 24 turns are refined at each difference
+CLEARLY = 1.5  # factor of errors without a shift in z to those with it
+
+
+def placed(truth: pl.DataFrame, numbers: Sequence[float]) -> pl.DataFrame:
+    """A truth turned about z by `numbers[3]`, °, then shifted by the first three, m, and by the last, s, in time."""
+    x, y, z, yaw, later = map(float, numbers)
+    moved = Similarity(about_vertical(math.radians(yaw)), np.array([x, y, z])).table(truth)
+    return moved.with_columns(pl.col("t_s") + later)
+
+
+def moved_truth(truth: pl.DataFrame, recording: RecordingFolder, transform: str | None) -> tuple[pl.DataFrame, str]:
+    """A truth moved by X,Y,Z,YAW,S, or as the readings of a recording fit it, and how; raises UnusableInput."""
+    if transform is None:
+        tables = dict(recording.tables) | {"truth": truth.sort("t_s", maintain_order=True)}
+        numbers, words = found_placement(replace(recording, tables=tables))
+        return placed(
+            truth, numbers
+        ), f"truth moved by --transform {','.join(f'{round(x, 3) + 0.0:.3f}' for x in numbers)}: {words}"
+    numbers = pl.Series(transform.split(",")).cast(pl.Float64, strict=False).fill_null(math.nan).to_list()
+    if len(numbers) not in (4, 5) or not np.isfinite(numbers).all():
+        expected = "X,Y,Z,YAW or X,Y,Z,YAW,S: a shift in m after a turn about z in degrees, and s added to the times"
+        raise UnusableInput(f"--transform {transform}: expected {expected}")
+    return placed(truth, [*numbers, 0.0][:5]), f"truth moved by --transform {transform}"
+
+
+def found_placement(recording: RecordingFolder) -> tuple[list[float], str]:
+    """The numbers of `placed` that the readings fit best, and how well, in words; or UnusableInput.
+
+    Without a shift in z unless errors are larger by `CLEARLY` without it: biases of ranges go into z above all.
+    """
+    view = next((view for table in KINDS if (view := compared(recording, table)) is not None), None)
+    if view is None:
+        fix = "import some of the same tag on about the same clock first, or give --transform"
+        raise UnusableInput(f"--align-truth: {recording.name}: no measurement at the times of the truth; {fix}")
+    centre, kept = view.positions.mean(axis=0), ""
+
+    def errors(x: np.ndarray) -> np.ndarray:
+        return _errors(view.later(float(x[4])), centre, x)
+
+    def sizes(x: np.ndarray, bias: bool = True) -> np.ndarray:
+        return np.asarray(known_median(view.sizes(errors(x), bias)))
+
+    x, _ = robust_fit(errors, _searched(view.thinned(FEW), centre))
+    level, _ = robust_fit(lambda y: errors(np.insert(y, 3, centre[2])), np.delete(x, 3))
+    level = np.insert(level, 3, centre[2])
+    if not (sizes(level, False) > CLEARLY * sizes(x, False)).any():
+        kept = f"z as it was, since errors are about as small without its shift of {x[3] - centre[2]:.2f} m; "
+        x = level
+    known = np.isfinite(sizes(x))
+    typical = ", ".join(f"{size:.2g} {view.kind.unit}" for size in sizes(x)[known])
+    if not (sizes(x) <= view.kind.sizes("large", len(known)))[known].all():
+        found = f"no turn about z, shift and difference of clocks up to {LONGEST_S:g} s explains the {view.kind.name}"
+        raise UnusableInput(f"--align-truth: {found}: errors of {typical} are left; check the rig and the tag")
+    shift, yaw = x[1:4] - about_vertical(x[0]) @ centre, math.degrees(math.remainder(x[0], 2 * math.pi))
+    return [*shift.tolist(), yaw, float(x[4])], f"{kept}{view.kind.name} then differ by {typical} typically"
+
+
+def _errors(view: Compared, centre: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The errors of the readings with the truth turned by x[0], rad, about `centre`, which goes to x[1:4]."""
+    return view._replace(positions=x[1:4] + (view.positions - centre) @ about_vertical(x[0]).T).errors()
+
+
+def _searched(view: Compared, centre: np.ndarray) -> np.ndarray:
+    """The best of some turns at each difference of the clocks, each with the shift that fits it."""
+    middle = np.nanmean((view.values if view.kind.position else view.sensors.places)[:, :2], axis=0)
+    fits = []
+    for later in np.arange(-LONGEST_S, LONGEST_S + STEP_S, STEP_S):
+        known = np.isfinite((shifted := view.later(float(later))).positions).all(axis=1)
+        if 2 * known.sum() >= len(known):
+            errors = partial(_errors, shifted.of_rows(known), centre)
+            starts = [np.append(yaw, [*middle, centre[2]]) for yaw in np.arange(24) * np.pi / 12]
+            starts.sort(key=lambda x: float(np.nanmean(np.log1p(np.abs(errors(x))))))
+            x, size = min((robust_fit(errors, start, 8) for start in starts[:NEAR]), key=lambda fit: fit[1])
+            fits.append((size, np.append(x, later)))
+    return min(fits, key=lambda fit: fit[0])[1]
+
 
 FORMATS = {"csv": (*SUFFIXES, ".tsv"), "json": (".jsonl", ".ndjson", ".json"), "tum": (".tum",),
            "ros": (".bag", ".mcap", ".db3")}  # fmt: skip
@@ -34,23 +114,15 @@ FORMATS = {"csv": (*SUFFIXES, ".tsv"), "json": (".jsonl", ".ndjson", ".json"), "
 
 
 def format_of(path: Path) -> str:
-    """The name of a file's format, by its ending or else its first line."""
-    if path.is_dir():
-        return "ros"
-    named, text = (n for n, endings in FORMATS.items() if path.name.lower().endswith(endings)), b""
-    with suppress(OSError):  # the reader says why
-        text = file_bytes(path, 20_000)
-    first = re.sub(r"(?m)^\s*(#.*)?$\n?", "", text.decode("utf-8-sig", errors="replace"))
-    is_tum = re.match(r"[^,;\s]+([ \t]+[^,;\s]+){7}[ \t\r]*(\n|$)", first)
-    is_json = re.match(r"[^{\n]*\{.*\}\s*(\n|$)", first)
-    return next(named, "tum" if is_tum else "json" if is_json else "csv")
+    """The name of a file's format, by its ending; of others a table in text."""
+    named = (name for name, endings in FORMATS.items() if path.name.lower().endswith(endings))
+    return "ros" if path.is_dir() else next(named, "csv")
 
 
-def read_source(path: Path, name: str, mappings: Sequence[TableMapping], shared: Mapping[str, Any] = {}) -> Source:
+def read_source(path: Path, name: str, mappings: Sequence[TableMapping], tag: str | None = None) -> Source:
     """The tables of a source in the format of this name, or a user's own; raises UnusableInput with file and line."""
     if name not in FORMATS:
-        frames = _own_frames(path, name)
-        return _of_frames(frames, dict.fromkeys(frames, shared.get("columns", {})), shared.get("tag"), f"{name}: ")
+        return _of_frames(_own_frames(path, name), {}, tag, f"{name}: ")
     if name == "ros":
         from trackwright.trackers.exchange.ros_reader import read_bag
 
@@ -88,13 +160,11 @@ def _of_frames(
 ) -> Source:
     """The tables of pandas or polars frames by expressions of each table."""
     source = Source()
+    if unknown := {*frames} - {*table_kinds()}:
+        raise UnusableInput(f"{where}table {min(unknown)!r}; expected one of {', '.join(table_kinds())}")
     for table, frame in frames.items():
-        try:
-            mapping = TableMapping(table=table, columns=columns.get(table, {}), tag=tag)
-            source.read(TableFile(Path(f"{where}{table}"), _polars(frame, table)), mapping)
-        except UnusableInput as problem:
-            said = str(problem)
-            raise UnusableInput(said if said.startswith(where) else f"{where}{said}") from None
+        file = TableFile(Path(f"{where}{table}"), _polars(frame, f"{where}{table}"))
+        source.read(file, TableMapping(table=table, columns=columns.get(table, {}), tag=tag))
     return source
 
 
@@ -110,17 +180,13 @@ def _polars(frame: Any, table: str) -> pl.DataFrame:
 
 
 def import_frames(
-    frames: Mapping[str, Any],
-    rig: Rig | Path | str | None = None,
-    columns: Mapping[str, Sequence[str]] | None = None,
-    tag: str | None = None,
-    name: str | None = None,
-) -> RecordingFolder:
+    frames: Mapping[str, Any], rig: Rig | Path | str | None = None,
+    columns: Mapping[str, Sequence[str]] | None = None, tag: str | None = None, name: str | None = None,
+) -> RecordingFolder:  # fmt: skip
     """A recording from pandas or polars frames by table, checked as if it were read from a folder.
 
     `rig`: the geometry, or the path of a rig.toml. `columns`: by table, expressions such as `t_s=stamp in ms`
-    (docs/import.md); columns that have the name of their target need none. `tag`: the id of all rows, where no column
-    has it. `name`: of the recording, by default that of the rig. Raises UnusableInput.
+    (docs/import.md). `tag`: the id of all rows, where no column has it. Raises UnusableInput.
     """
     require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
     expected = "expressions by table, as {'ranges': ['range_m=distance in mm']}"
@@ -208,61 +274,46 @@ def _read_anchors(path: Path, reading: Reading) -> tuple[Rig, list[str]]:
     """The anchors in a table with ids and columns as `X`, `x_mm`, `x [mm]`, `X (m)`; and notices."""
     file, notices = read_rows(path, reading)
     matches = {n: re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", n.strip().lower()) for n in file.frame.columns}
-    axes = {m[1]: f"`{n}` in {m[2] or 'm'}" for n, m in matches.items() if m and (m[2] or "m") in UNITS["m"]}
+    axes = {m[1]: f"`{name}` in {m[2] or 'm'}" for name, m in matches.items() if m}
     others = [name for name, match in matches.items() if not match]
     ids = [name for name in others if name.lower() in ("anchor", "anchor_id", "id", "name")] or others
-    if {*axes} != {*"xyz"} or not ids or (len(ids) > 1 and ids == others):
-        found, expected = listed(map(repr, matches), 12), "anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
-        raise UnusableInput(f"--rig {path}: columns {found}; expected {expected}")
+    if {*axes} != {*"xyz"} or len(ids) != 1:
+        expected = "anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
+        raise UnusableInput(f"--rig {path}: columns {listed(map(repr, matches), 12)}; expected {expected}")
     places = [parsed("x_m", axes[axis], file).numbers(file).alias(axis) for axis in "xyz"]
-    rows = pl.DataFrame([file.frame[ids[0]].cast(pl.String).str.strip_chars().alias("id"), *places])
-    usable = (pl.col("id") != "") & pl.col("id").is_first_distinct() & pl.all_horizontal(pl.all().is_not_null())
-    if not (fine := rows.select(usable).to_series()).all():
-        row = first_row(~fine)
-        raise UnusableInput(f"--rig {file.location(row, ids[0])}: {rows.row(row)}; expected each id once, with x, y, z")
-    units = f"ids are in column {ids[0]}, positions in {', '.join(axes[axis] for axis in 'xyz')}"
+    rows = pl.DataFrame([file.frame[ids[0]].cast(pl.String).str.strip_chars().replace("", None).alias("id"), *places])
+    lacking = rows.select(pl.any_horizontal(pl.all().is_null()) | ~pl.col("id").is_first_distinct()).to_series()
+    if lacking.any():
+        where = file.location(first_row(lacking), ids[0])
+        raise UnusableInput(f"--rig {where}: expected each id once, with x, y, z")
+    notices.append(f"ids are in column {ids[0]}, positions in {', '.join(axes[axis] for axis in 'xyz')}")
     anchors = {key: np.array(place) for key, *place in rows.rows()}
-    return Rig(path.stem, anchors), [f"{path}: {line}" for line in (*notices, units)]
+    return Rig(path.stem, anchors), [f"{path}: {line}" for line in notices]
 
 
 def import_file(
-    source: Path,
-    out: Path,
-    given: TableMapping | None = None,
-    shared: Mapping[str, Any] = {},
-    mapping: Path | None = None,
-    format: str | None = None,
-    rig: Path | None = None,
-    transform: str | None = None,
-    align_truth: bool = False,
-    replaced: bool = False,
+    source: Path, out: Path, mappings: Sequence[TableMapping], tag: str | None = None, format: str | None = None,
+    rig: Path | None = None, transform: str | None = None, align_truth: bool = False, replaced: bool = False,
     say: Callable[[str], None] = lambda line: None,
-) -> tuple[Mapping[str, pl.DataFrame], RecordingFolder]:
+) -> tuple[Mapping[str, pl.DataFrame], RecordingFolder]:  # fmt: skip
     """The tables imported from a source into the folder `out` as by `trackwright import`, and the recording there.
 
-    `given`: the table asked for, or `mapping`, a file of some, to which `shared` adds `columns` and `tag`. `say` gets
-    notices. Raises UnusableInput.
+    `tag`: of a user's own `format`, which has no `mappings`. `say` gets notices. Raises UnusableInput.
     """
     name = format or format_of(source)
     say(f"{source}: read as {name}" + ("" if format else "; another format: --format"))
-    mappings = [given] if given is not None else [] if mapping is None else read_mapping(mapping)
-    if bool(mappings) != (name in FORMATS) or (given and mapping):
-        raise UnusableInput(f"{source}: expected either --table or --mapping, and none with --format FILE.py:NAME")
-    if given is None:
-        tag, columns = shared.get("tag"), shared.get("columns", {})
-        mappings = [replace(m, tag=m.tag or tag, columns={**m.columns, **columns}) for m in mappings]
-    known, lines = _geometry(rig, out, given or Reading())
-    imported = read_source(source, name, mappings, shared)
+    if bool(mappings) != (name in FORMATS):
+        raise UnusableInput(f"{source}: expected --table or --mapping, and none with --format FILE.py:NAME")
+    known, lines = _geometry(rig, out, mappings[0] if len(mappings) == 1 else Reading())
+    imported = read_source(source, name, mappings, tag)
     # Recordings of one installation share its rig, but not their name.
     there = (out / RIG_FILE).is_file()
     folder, lines = _assembled(None if there else out.resolve().name, known, imported), [*imported.notices, *lines]
     if transform is not None or align_truth:
         if "truth" not in folder.tables:
             raise UnusableInput("--transform and --align-truth move a truth; expected --table truth")
-        beside = read_recording(out) if there else folder
-        truth, said = moved_truth(folder.tables["truth"], beside, transform)
-        folder = replace(folder, tables=dict(folder.tables) | {"truth": truth})
-        lines.append(said)
+        truth, said = moved_truth(folder.tables["truth"], read_recording(out) if there else folder, transform)
+        folder, lines = replace(folder, tables=dict(folder.tables) | {"truth": truth}), [*lines, said]
     written = _saved(folder, out, imported, replaced)
     for line in (*lines, *(f"{out}: {line}" for line in written.notices)):
         say(f"notice: {line}")

@@ -13,8 +13,7 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed, near
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.exchange.expressions import Expression, parsed, sensor_of, texts_of
-from trackwright.trackers.exchange.text_tables import Reading
+from trackwright.trackers.exchange.text_tables import Expression, Reading, parsed, sensor_of, texts_of
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.input_file import read_model
 from trackwright.trackers.recordings.kinds import table_kinds
@@ -92,8 +91,6 @@ class Source:
             tables.append(table.with_columns(pl.int_range(pl.len()).alias(ORIGIN) + len(self.parts) * 2**40))
             self.parts.append((file, {n: "+".join(e.sources) or e.text for n, e in columns.items()}))
             used |= {source for e in columns.values() for source in e.sources}
-        if order := columns["t_s"].guessed_order(file):
-            self.notices.append(f"{name}: column {' + '.join(columns['t_s'].sources)}: dates are read as {order}")
         table, wanted = pl.concat(tables), table_kinds()[name].layout(tables[0].columns)
         filled = table.filter(pl.any_horizontal(pl.col(wanted.values).is_not_null()))
         if len(filled) < len(table):
@@ -150,38 +147,37 @@ def _complete(
     file: TableFile, mapping: TableMapping, expressions: dict[str, Expression], sensor: str | None
 ) -> dict[str, Expression]:
     """The expressions of all columns of a table, of one sensor or of all; raises UnusableInput for one that lacks."""
-    present, table = file.frame.columns, mapping.table
+    present, table, where = file.frame.columns, mapping.table, f"{file.path}: {mapping.table}"
     wanted = table_kinds()[table].layout([*expressions, *(name for name in present if name not in expressions)])
     own, ids = expressions.get("tag", Expression("tag", "tag", ("tag",))), wanted.ids[1:]
     given, column = mapping.tag or own.constant, next(iter(own.sources), "tag")
     texts = {*texts_of(file.frame[column])} - {None, ""} if given and column in present else set()
     if (others := texts - {given}) and (mapping.tag or len(others) > 1):
-        one = given if given in texts else min(others)
+        one, found = given if given in texts else min(others), f"column {column} has {listed(sorted(others))}"
         fix = f'leave it out, or read one alone: where = {{ {column} = ["{one}"] }} in a file of --mapping'
-        found = f"the column {column} has {listed(sorted(others))}, which --tag {given} would overwrite"
-        raise UnusableInput(f"{file.path}: {found}; {fix}")
+        raise UnusableInput(f"{file.path}: the {found}, which --tag {given} would overwrite; {fix}")
     constants = {} if mapping.tag is None else {"tag": mapping.tag}
     if sensor is not None:
         each = [sensor] if len(ids) == 1 else [one.strip() for one in sensor.split(",")]
         if len(each) != len(ids):
-            expected = f"[{','.join(ids)}]" if ids else "none: it has no anchors or stations"
-            raise UnusableInput(f"{table}: [{sensor}] in the columns; expected {expected}")
+            raise UnusableInput(f"{where}: [{sensor}] in the columns; expected anchors or stations: {ids or 'none'}")
         constants |= dict(zip(ids, each, strict=True))
     expressions |= {name: Expression(name, repr(text), constant=text) for name, text in constants.items()}
     known = ("t_s", *wanted.ids, *wanted.values, *wanted.optional)
     # Signal quality may have any name that is not like one of the others.
     quality = [name for name in expressions if name in wanted.quality and not get_close_matches(name, known, 1, 0.75)]
-    if unknown := next((name for name in expressions if name not in (*known, *quality)), None):
-        raise UnusableInput(f"{table}: has no column {unknown}{near(unknown, known)}; expected {listed(known, 12)}")
+    if unknown := [name for name in expressions if name not in (*known, *quality)]:
+        found = f"has no column {unknown[0]}{near(unknown[0], known)}"
+        raise UnusableInput(f"{where} {found}; expected {listed(known, 12)}")
     expressions |= {n: parsed(n, f"`{n}`", file) for n in known if n not in expressions and n in present}
     needed = ("t_s", *wanted.ids, *(wanted.values or table_kinds()[table].least))
-    if missing := next((name for name in needed if name not in expressions), None):
-        like = get_close_matches(missing.rpartition("_")[0], [c for c in present if c not in known], 1, 0.3)
-        example = f"{missing}={(like or ['COLUMN'])[0]}" + " in UNIT" * ("_" in missing)
+    if missing := [name for name in needed if name not in expressions]:
+        like = get_close_matches(missing[0].rpartition("_")[0], [c for c in present if c not in known], 1, 0.3)
+        example = f"{missing[0]}={(like or ['COLUMN'])[0]}" + " in UNIT" * ("_" in missing[0])
         fixes = {"tag": "give --tag ID (in Python: tag=)", "z_m": "add an empty column where no height is measured"}
-        fix = fixes.get(missing, f"add --columns '{example}'; a file without a header: --header none")
-        found = f"needs {missing}, which no column gives; found {listed(map(repr, present), 12)}"
-        raise UnusableInput(f"{file.path}: {table} {found}; {fix}")
+        fix = fixes.get(missing[0], f"add --columns '{example}'; a file without a header: --header none")
+        found = f"needs {missing[0]}, which no column gives; found {listed(map(repr, present), 12)}"
+        raise UnusableInput(f"{where} {found}; {fix}")
     if 0 < sum(name in expressions for name in QUATERNION) < 4:
-        raise UnusableInput(f"{file.path}: has a part of qw, qx, qy, qz; expected all or none")
+        raise UnusableInput(f"{where} has a part of qw, qx, qy, qz; expected all or none")
     return {name: expressions[name] for name in (*known, *quality) if name in expressions}

@@ -3,36 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.exchange.expressions import sensor_of
-from trackwright.trackers.exchange.mapping import Source, TableMapping, read_mapping, spelled_out
+from trackwright.trackers.exchange.mapping import Source, TableMapping, read_mapping
+from trackwright.trackers.exchange.text_tables import sensor_of
 from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.tables import TableFile
 
 MESSAGES = Path(__file__).parent / "presets" / "_messages.toml"  # standard ones, by their type in place of a topic
 LARGEST_BAG = 2**35  # bytes; only the messages of the topics asked for are held
-_TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-
-
-@contextmanager
-def _told(what: str, fix: str = "record or copy it again") -> Iterator[None]:
-    """Turns errors, of many kinds within rosbags, to UnusableInput."""
-    try:
-        yield
-    except UnusableInput:
-        raise
-    except Exception as error:
-        why = getattr(error, "strerror", None) or next(iter(str(error).splitlines()), type(error).__name__)
-        raise UnusableInput(f"{what} ({why}); {fix}") from error
 
 
 def read_bag(path: Path, mappings: Sequence[TableMapping]) -> Source:
@@ -41,55 +26,49 @@ def read_bag(path: Path, mappings: Sequence[TableMapping]) -> Source:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        fix = "install the extra: pip install 'trackwright[ros]'"
-        raise UnusableInput(f"{path}: ROS bags need the package rosbags; {fix}") from None
+        raise UnusableInput(f"{path}: needs the package rosbags: pip install 'trackwright[ros]'") from None
     source = Source()
-    with ExitStack() as stack:
-        with _told(f"{path}: cannot be read as a ROS bag"):
-            files = [entry for entry in path.iterdir() if not entry.is_dir()] if path.is_dir() else [path]
-            if sum(file.stat().st_size for file in files) > LARGEST_BAG:
-                raise UnusableInput(f"{path}: holds more than {LARGEST_BAG / 1e9:.1f} GB; copy the topics needed")
-            reader = stack.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
-        known = sorted(reader.connections, key=lambda c: c.topic)
-        for mapping in mappings:
-            connections = [c for c in known if c.topic == mapping.topic]
-            if not connections:
-                topics = listed((f"{c.topic} ({c.msgtype}, {c.msgcount})" for c in known), 20)
-                raise UnusableInput(f"{path}: no --topic {mapping.topic or ''} for {mapping.table}; topics: {topics}")
-            source.read(*_columns(reader, path, mapping, connections))
+    try:
+        files = [entry for entry in path.iterdir() if not entry.is_dir()] if path.is_dir() else [path]
+        if sum(file.stat().st_size for file in files) > LARGEST_BAG:
+            raise UnusableInput(f"{path}: holds more than {LARGEST_BAG / 1e9:.1f} GB; copy the topics needed")
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            for mapping in mappings:
+                source.read(*_columns(reader, path, mapping))
+    except UnusableInput:
+        raise
+    except Exception as error:  # of many kinds within rosbags
+        why = getattr(error, "strerror", None) or next(iter(str(error).splitlines()), type(error).__name__)
+        fix = "record it again, or convert it to MCAP: ros2 bag convert"
+        raise UnusableInput(f"{path}: is broken, or no ROS bag that defines its messages ({why}); {fix}") from error
     return source
 
 
-def _columns(reader: Any, path: Path, mapping: TableMapping, connections: Any) -> tuple[TableFile, TableMapping]:
+def _columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[TableFile, TableMapping]:
     """The fields of a topic's messages, as `header.stamp`, by a mapping, and it; a row for each element of lists."""
-    topic, (kind, *others) = f"{path}: topic {mapping.topic}", sorted({c.msgtype for c in connections})
-    if others:
-        raise UnusableInput(f"{topic} has messages of {listed([kind, *others])}; expected one type")
-    paths, wanted = list(_paths(reader.typestore.fielddefs, kind)), table_kinds()[mapping.table].layout(())
-    fields, columns = listed(paths, 24), spelled_out(mapping.columns, paths)
-    given = {sensor_of(target)[0] for target in columns}
+    connections = [c for c in reader.connections if c.topic == mapping.topic]
+    kinds = sorted({c.msgtype for c in connections})
+    if len(kinds) != 1:
+        known = listed(sorted(f"{c.topic} ({c.msgtype}, {c.msgcount})" for c in reader.connections), 20)
+        found = f"--topic {mapping.topic or ''} for {mapping.table} has {listed(kinds) or 'no messages'}"
+        raise UnusableInput(f"{path}: {found}; expected one type; topics: {known}")
+    topic, wanted, columns = f"{path} {mapping.topic}", mapping.table, dict(mapping.columns)
+    fields, kind = listed(name for name, _ in reader.typestore.fielddefs[kinds[0]][1]), table_kinds()[wanted].layout(())
+    taken = {"t_s", *kind.values, *kind.optional} - {sensor_of(target)[0] for target in columns}
     for one in read_mapping(MESSAGES):
-        if one.topic == kind and one.table in (mapping.table, "truth" if mapping.table == "fixes" else ""):
-            standard = {"t_s": "header.stamp", **spelled_out(one.columns, paths)}
-            taken = {"t_s", *wanted.values, *wanted.optional} - given
+        if one.topic == kinds[0] and one.table in (wanted, "truth" if wanted == "fixes" else ""):
+            standard = {"t_s": "header.stamp", **one.columns}
             columns = {target: text for target, text in standard.items() if target in taken} | columns
     mapping = replace(mapping, columns=columns)
-    if not mapping.sources():
+    if not (sources := sorted(mapping.sources())):
         fix = f"map its fields, as --columns 'range_m=FIELD'; fields: {fields}"
-        raise UnusableInput(f"{topic} has {kind}, no standard message for {mapping.table}; {fix}")
-    rows: dict[str, list[Any]] = {source: [] for source in sorted(mapping.sources())}
-    messages = reader.messages(connections=connections)
-    for number in count(1):
-        with _told(f"{topic}: the bag is broken"):
-            record = next(messages, None)
-        if record is None:
-            break
-        (connection, stamp, data), where = record, f"{topic}, message {number}"
-        with _told(
-            f"{where}: is no {kind}, or one that the bag does not define", "convert it to MCAP: ros2 bag convert"
-        ):
-            message = reader.deserialize(data, connection.msgtype)
-        values = {source: _values(message, source, stamp, where, fields) for source in rows}
+        raise UnusableInput(f"{topic} has {kinds[0]}, no standard message for {wanted}; {fix}")
+    rows: dict[str, list[Any]] = {source: [] for source in sources}
+    for number, (connection, stamp, data) in enumerate(reader.messages(connections=connections), 1):
+        message, where = reader.deserialize(data, connection.msgtype), f"{topic}, message {number}"
+        values = {
+            source: _values(message, source, stamp, f"{where}: no field {source}; fields: {fields}") for source in rows
+        }
         sizes = {len(one) for one in values.values() if isinstance(one, list)}
         if len(sizes) > 1:
             raise UnusableInput(f"{where}: lists of lengths {sorted(sizes)} in {listed(rows)}; expected equal ones")
@@ -98,10 +77,10 @@ def _columns(reader: Any, path: Path, mapping: TableMapping, connections: Any) -
     frame = pl.DataFrame({source: pl.Series(source, column) for source, column in rows.items()})
     if len(frame) > 1 and "header.stamp" in frame.columns and (frame["header.stamp"] == 0).all():
         raise UnusableInput(f"{topic}: header.stamp is 0 in every message; give t_s=received")
-    return TableFile(Path(f"{path} {mapping.topic}"), frame), mapping
+    return TableFile(Path(topic), frame), mapping
 
 
-def _values(message: Any, source: str, stamp: int, where: str, fields: str) -> Any:
+def _values(message: Any, source: str, stamp: int, lacking: str) -> Any:
     """The value of a field, or of all elements in a list; times as seconds; `received`: when the bag received it."""
     if source == "received":
         return stamp / 1e9
@@ -112,19 +91,9 @@ def _values(message: Any, source: str, stamp: int, where: str, fields: str) -> A
                 values = [getattr(value, name) for value in values]
             else:
                 values = [value[int(index)] for value in values] if index else [one for each in values for one in each]
-        plain = [v.sec + v.nanosec / 1e9 if hasattr(v, "nanosec") else v for v in values]
-        plain = [v.item() if hasattr(v, "item") else v for v in plain]
+        plain = [
+            v.sec + v.nanosec / 1e9 if hasattr(v, "nanosec") else getattr(v, "item", lambda v=v: v)() for v in values
+        ]
     except (AttributeError, IndexError, ValueError):
-        raise UnusableInput(f"{where}: no field {source}, as header.stamp or ranges[].id; fields: {fields}") from None
+        raise UnusableInput(lacking) from None
     return plain if "[]" in source else plain[0]
-
-
-def _paths(definitions: Any, kind: str) -> Iterator[str]:
-    """The paths of the fields of a message type; times and the elements of lists are single fields."""
-    for name, (node, about) in definitions[kind][1] if kind in definitions else ():
-        if node.name in ("ARRAY", "SEQUENCE"):
-            name, (node, about) = name + "[]", about[0]
-        if node.name == "NAME" and about not in _TIMES:
-            yield from (f"{name}.{path}" for path in _paths(definitions, about))
-        else:
-            yield name

@@ -1,26 +1,195 @@
-"""Text as people have it, as columns of texts with the line of each row: tables, JSON lines, and lines of logs."""
+"""Text as people have it, as columns of texts with the line of each row, and expressions on these columns."""
 
 from __future__ import annotations
 
 import codecs
 import csv
-import gzip
 import json
 import re
-import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.errors import UnusableInput, listed, near
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.exchange.expressions import UNITS
-from trackwright.trackers.recordings.input_file import file_bytes
-from trackwright.trackers.recordings.tables import TableFile, first_row, read_table_file
+from trackwright.trackers.recordings.tables import TableFile, content_of_file, first_row, read_table_file, remedy
+
+CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}  # times of day; days, counted to the begin of 1970
+
+UNITS: dict[str, dict[str, float]] = {
+    "m": {
+        "m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3, "inch": 0.0254, "ft": 0.3048,
+        "s": 299792458.0, "us": 299.792458, "ns": 0.299792458, "ps": 2.99792458e-4,
+    },
+    "s": {
+        "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0,
+        **dict.fromkeys(DAYS, 86400.0), **dict.fromkeys(("iso", "dd/mm/yyyy", CLOCK), 1.0),
+    },
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295},
+    "mps": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 0.2777777777777778},
+    "radps": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": 0.017453292519943295, "rpm": 0.10471975511965977},
+    "mps2": {"m/s^2": 1.0, "cm/s^2": 1e-2, "mm/s^2": 1e-3, "g": 9.80665, "mg": 9.80665e-3},
+}  # fmt: skip
+"""By the ending of a column's name, units and their factors; a length in a unit of time is light's way in that time."""
+
+_DATE = re.compile(r"iso|hh:mm:ss|(?:yyyy|mmm?|dd)([-/.])(?:yyyy|mmm?|dd)\1(?:yyyy|mmm?|dd)")
+_FIELD = r"(?<![\w.])[^\W\d]\w*(?:\[\d*\])*(?:\.\w+(?:\[\d*\])*)*(?![\w.\[]|\s*\()"
+_TARGET = re.compile(r"(?P<name>[\w{}]+)(?:\[(?P<sensor>[^\]]+)\])?")
+_FORM = "TARGET=COLUMN, COLUMN in UNIT, COLUMN*NUMBER+NUMBER, A+B*1e-9, sqrt(COLUMN) or 'TEXT'"
+
+
+class Expression(NamedTuple):
+    """For `target`, the text `constant`, or arithmetic in SQL on the columns `sources`, there c0, c1 …, in a `unit`."""
+
+    target: str
+    text: str
+    sources: tuple[str, ...] = ()
+    sql: str = "c0"
+    unit: str = ""
+    constant: str | None = None
+
+    def numbers(self, file: TableFile) -> pl.Series:
+        """Its numbers in the rows of a file, null where empty; raises UnusableInput with the row of a text."""
+        said = f"{self.target}={self.text}"
+        if not self.sources:
+            raise UnusableInput(f"{said}: names no column; expected {_FORM}")
+        if _DATE.fullmatch(self.unit) and file.frame[self.sources[0]].dtype not in (pl.Datetime, pl.Date):
+            return _dates(file, self.sources, self.unit)
+        frame = pl.DataFrame({f"c{k}": numbers_of(file, source) for k, source in enumerate(self.sources)})
+        try:
+            total = frame.with_columns(x=pl.sql_expr(self.sql).cast(pl.Float64))["x"]
+            lost = frame.select(pl.all_horizontal(pl.all().is_finite()) & pl.lit(~total.is_finite())).to_series()
+        except pl.exceptions.PolarsError as error:
+            raise UnusableInput(f"{said}: cannot be read ({str(error).splitlines()[0]}); expected {_FORM}") from error
+        if lost.any():
+            where = file.location(first_row(lost.fill_null(False)), " + ".join(self.sources))
+            raise UnusableInput(f"{where}: no number comes of {said}; expected one in each row")
+        scale = UNITS.get(self.target.rpartition("_")[2], {}).get(self.unit, 1.0)
+        return (total - DAYS.get(self.unit, 0.0)) * scale
+
+    def ids(self, file: TableFile) -> pl.Series:
+        """Its texts in the rows of a file; raises UnusableInput for a column of other values."""
+        if self.constant is not None:
+            return pl.repeat(self.constant, len(file.frame), dtype=pl.String, eager=True)
+        column = file.frame[self.sources[0]]
+        if self.sql != "c0" or not (column.dtype.is_integer() or column.dtype in (pl.String, pl.Categorical, pl.Enum)):
+            raise UnusableInput(f"{self.target}={self.text} of type {column.dtype}; expected text or whole numbers")
+        return texts_of(column)
+
+
+def parsed(target: str, text: str, file: TableFile | None = None) -> Expression:
+    """The expression of a target on the columns of a file, or on whatever fields it names; or UnusableInput."""
+    text, name, known = text.strip(), target.partition("[")[0], [] if file is None else file.frame.columns
+    if re.fullmatch(r"'.*'|\".*\"", text):
+        return Expression(name, text, constant=text[1:-1])
+    if (whole := text.strip("`")) in known:
+        return Expression(name, text, (whole,))
+    body, unit = re.findall(r"(?s)^(.*?)(?:\s+in\s+(\S+))?$", text)[0]
+    unit, units = unit.lower() if {"Y", ":"} & {*unit} else unit, UNITS.get(name.rpartition("_")[2], {})
+    sources = dict[str, str]()
+    if unit and unit not in units and not ("iso" in units and _DATE.fullmatch(unit)):
+        raise UnusableInput(
+            f"{target}: unit {unit!r} does not fit {name}; expected one of {', '.join(units) or 'none'}"
+        )
+
+    def column(match: re.Match[str]) -> str:
+        source = match[1] or match[0]
+        if file is not None and source not in known:
+            found = near(source, known) or f"; found {listed(map(repr, known), 12)}"
+            raise UnusableInput(f"{file.path}: {target}={text}: no column {source!r}{found}")
+        return sources.setdefault(source, f"c{len(sources)}")
+
+    # Names of columns may hold blanks and signs; the longest goes first, and one that looks like a number needs ``.
+    names = "|".join(re.escape(n) for n in sorted(known, key=len, reverse=True) if not re.fullmatch(r"[\d.]*", n))
+    token = rf"`([^`]+)`|(?<![\w.])(?:{names or '(?!)'})(?![\w.\[])|{_FIELD}"
+    sql = re.sub(token, column, body if body in known else body.lstrip("#%/ "))
+    return Expression(name, text, tuple(sources), sql, unit)
+
+
+def texts_of(column: pl.Series) -> pl.Series:
+    """Texts without blanks; whole numbers without the point that programs give a column with empty cells."""
+    text = column.cast(pl.String).str.strip_chars()
+    return text.str.strip_suffix(".0") if text.str.contains(r"^\d+\.0$").all() else text
+
+
+def numbers_of(file: TableFile, column: str) -> pl.Series:
+    """The column as Float64, null where empty or NaN, times as s since 1970; raises UnusableInput at a text."""
+    cells = file.frame[column]
+    if cells.dtype in (pl.Datetime, pl.Date):
+        return _since_1970(cells)
+    if cells.dtype != pl.String:
+        if not (cells.dtype.is_numeric() or cells.dtype in (pl.Null, pl.Boolean)):
+            raise UnusableInput(f"{file.path}: column {column} has type {cells.dtype}; expected numbers")
+        return cells.cast(pl.Float64).fill_nan(None)
+    text = points = cells.str.strip_chars()
+    if file.thousands:
+        mark, point = re.escape(file.thousands), re.escape(file.decimal)
+        grouped = text.str.contains(rf"^[-+]?\d{{1,3}}(?:{mark}\d{{3}})+(?:{point}\d*)?$").fill_null(False)
+        points = text.str.replace_all(file.thousands, "", literal=True).zip_with(grouped, text)
+    if file.decimal == ",":
+        # A point, as it groups thousands, is then no part of a number.
+        points = points.str.replace(".", "x", literal=True).str.replace(",", ".", literal=True)
+    numbers = points.cast(pl.Float64, strict=False)
+    if numbers.null_count() > text.null_count() and (wrong := numbers.is_null() & (text != "").fill_null(False)).any():
+        row, cell = first_row(wrong), text.filter(wrong)[0]
+        raise UnusableInput(f"{file.location(row, column)}: {cell[:40]!r}; expected a number; {remedy(cell, column)}")
+    return numbers.fill_nan(None)
+
+
+def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
+    """Dates in an order, all as the first, as s since 1970, UTC without a zone; or times of day, also past midnight."""
+    cells = pl.col(columns).cast(pl.String).str.strip_chars()
+    texts = given = file.frame.select(pl.concat_str(cells, separator=" ")).to_series()
+    full, order, column = (texts != "").fill_null(False), order.replace("iso", "yyyy-mm-dd"), " + ".join(columns)
+    first = next(iter(texts.filter(full)), "")
+    if order == CLOCK:
+        parts = texts.str.replace(",", ".").str.extract_groups(r"^(\d\d?):(\d\d)(?::(\d\d(?:\.\d*)?))?$")
+        h, m, s = (part.cast(pl.Float64) for part in parts.struct.unnest())
+        found = h * 3600 + m * 60 + s.fill_null(0.0)
+        found += 86400.0 * (found.forward_fill().diff() < -43200.0).fill_null(False).cum_sum()
+    else:
+        form = order.replace("yyyy", "%Y").replace("mmm", "%b").replace("mm", "%m").replace("dd", "%d")
+        time = re.search(r"\d[T ]+\d\d?:\d\d(:\d\d(?:[.,]\d*)?)?\s*(Z|[-+]\d\d:?(?:\d\d)?)?$", first)
+        form += " %H:%M" + ":%S%.f" * bool(time[1]) + "%#z" * bool(time[2]) if time else ""
+        for old, new in ((r"(\d)[T ]+(\d)", "$1 $2"), (",", "."), (r"\s*Z$", "+00:00"), (r"\s+([-+]\d)", "$1")):
+            texts = texts.str.replace(old, new)
+        found = _since_1970(texts.str.to_datetime(form, time_unit="ns", strict=False))
+    if (wrong := full & found.is_null()).any():
+        row = first_row(wrong)
+        alike = f"as {first!r}, a time zone in all rows or none" if row != first_row(full) else "no order is guessed"
+        mark = next((one for one in "/." if one in given[row].split(" ")[0]), "-")
+        named = re.search("-[A-Za-z]{3}-", given[row])
+        orders = ["dd-mmm-yyyy"] if named else [f"mm{mark}dd{mark}yyyy", f"dd{mark}mm{mark}yyyy"]
+        fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
+        raise UnusableInput(f"{file.location(row, column)}: {given[row]!r}; expected {order}, {alike}: {fix}")
+    return found
+
+
+def _since_1970(moments: pl.Series) -> pl.Series:
+    """Seconds, of which only the sum of the whole ones and the fraction is rounded."""
+    whole = moments.dt.epoch("ns")
+    return (whole // 1_000_000_000).cast(pl.Float64) + (whole % 1_000_000_000).cast(pl.Float64) / 1e9
+
+
+def columns_of(entries: Sequence[str]) -> dict[str, str]:
+    """The expressions of entries TARGET=EXPRESSION, by target; raises UnusableInput."""
+    pairs = [[part.strip() for part in entry.split("=", 1)] for entry in entries]
+    for entry, (target, *text) in zip(entries, pairs, strict=True):
+        twice = f"{target} is given twice; " * ([other for other, *_ in pairs].count(target) > 1)
+        if not any(text) or not _TARGET.fullmatch(target) or twice:
+            raise UnusableInput(f"--columns {entry!r}: {twice}expected {_FORM}")
+    return dict(pairs)
+
+
+def sensor_of(target: str) -> tuple[str, str | None]:
+    """The column of a target and what is in its brackets, an anchor or station: `range_m[A1]` gives range_m, A1."""
+    match = _TARGET.fullmatch(target)
+    return (match["name"], match["sensor"]) if match else (target, None)
+
 
 _NUMBER = re.compile(r"\s*[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?\s*")
 _BEFORE = " \t,;|:[]->"  # what may stand between a time and the content of a line
@@ -64,17 +233,15 @@ def read_rows(path: Path, form: Reading, is_json: bool = False) -> tuple[TableFi
 def _text(path: Path, form: Reading) -> str:
     """The text of a file, which may be packed; raises UnusableInput with the line of bytes that are no text."""
     try:
-        data = file_bytes(path)
-        data = gzip.decompress(data) if path.name.endswith(".gz") else data
+        data = content_of_file(path)
         utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         # What a serial line has garbled fits no pattern.
         text = data.decode(form.encoding or ("utf-16" if utf_16 else "utf-8"), "replace" if form.lines else "strict")
     except UnicodeDecodeError as error:
-        line, fix = data.count(b"\n", 0, error.start) + 1, "name another, as --encoding cp1252 for files of Windows"
-        raise UnusableInput(f"{path}: line {line}: byte {data[error.start]:#x} is no {error.encoding}; {fix}") from None
-    except (OSError, EOFError, zlib.error, LookupError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise UnusableInput(f"{path}: cannot be read ({reason}); check path, file and --encoding") from error
+        line = data.count(b"\n", 0, error.start) + 1
+        raise UnusableInput(f"{path}: line {line} is no {error.encoding}; name another, as --encoding cp1252") from None
+    except LookupError as error:
+        raise UnusableInput(f"{path}: cannot be read ({error}); check --encoding") from error
     if "\0" in text and not form.lines:
         raise UnusableInput(f"{path}: holds binary data, expected text; name its encoding, as --encoding utf-16-le")
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
@@ -98,7 +265,7 @@ def _of_table(path: Path, text: str, form: Reading) -> Rows:
     mark = form.separator or (said[1] if said else [*marks, ","][0])
     if form.separator is None and mark != ",":
         notices.append(f"cells are read as separated by {mark!r}; another mark: --separator")
-    rows = _cells(path, lines, mark)
+    rows = _cells(lines, mark)
     names = [] if form.header == "none" else [cell.strip() for cell in rows["cells"][0]]
     if len(names) > 1 and all(map(_NUMBER.fullmatch, names)):
         raise UnusableInput(f"{path}: line {at} is {head[:60]!r}, without names of columns; {_HEADER}")
@@ -110,17 +277,16 @@ def _of_table(path: Path, text: str, form: Reading) -> Rows:
     wrong = rows.select((cells.len() < width) | beyond).to_series()
     if names and wrong.any():
         line, cell = rows.row(first_row(wrong))
-        fix = f"look for a truncated file, an open quote or decimal commas; {_HEADER}"
         found = f"{counted(len(cell), 'cell')}, expected {width} as in line {at}, the header"
-        raise UnusableInput(f"{path}: line {line} has {found}; {fix}")
+        raise UnusableInput(f"{path}: line {line} has {found}; is a quote open, or a decimal a comma? {_HEADER}")
     if wrong.any():
         notices.append(f"{counted(int(wrong.sum()), 'row')} with fewer than {width} cells: the others are empty")
     names = [name or f"column{k}" for k, name in enumerate(names or [""] * width, 1)]
-    if repeated := next((name for k, name in enumerate(names) if name in names[:k]), None):
+    if twice := [name for k, name in enumerate(names) if name in names[:k]]:
         fix = f"rename one, or --header none --skip {at} calls them column1 to column{width}"
-        raise UnusableInput(f"{path}: column {repeated!r} is duplicated in line {at}, expected once; {fix}")
+        raise UnusableInput(f"{path}: column {twice[0]!r} is duplicated in line {at}, expected once; {fix}")
     frame = rows.select(cells.to_struct(fields=names)).unnest("cells")
-    units = [str(cell or "").strip().strip("[]()") for cell in (frame[:1].rows() or [()])[0]]
+    units = [str(cell or "").strip().strip("[]()") for row in frame[:1].rows() for cell in row]
     if form.header != "none" and any(map(str.isalpha, units)) and {unit.lower() for unit in units} <= _UNIT_CELLS:
         found = listed((f"{name} {unit}" for name, unit in zip(names, units, strict=True) if unit), 12)
         notices.append(f"line {rows['line'][0]} has units, left out: {found}; give them in --columns, as 'x_m=x in mm'")
@@ -130,7 +296,7 @@ def _of_table(path: Path, text: str, form: Reading) -> Rows:
     return frame, rows["line"], notices
 
 
-def _cells(path: Path, lines: pl.DataFrame, mark: str) -> pl.DataFrame:
+def _cells(lines: pl.DataFrame, mark: str) -> pl.DataFrame:
     """The cells of each row, and the line at which it begins; a quoted cell may go over several lines."""
     text = pl.col("text").str.replace_all(r"[ \t]+", " ").str.strip_chars(" ") if mark == " " else pl.col("text")
     if not lines["text"].str.contains('"', literal=True).any():
@@ -141,7 +307,7 @@ def _cells(path: Path, lines: pl.DataFrame, mark: str) -> pl.DataFrame:
             rows.append((lines["line"][before], row))
             before = reader.line_num
     except csv.Error as error:
-        raise UnusableInput(f"{path}: line {lines['line'][before]} is not CSV ({error}); check the quotes") from error
+        raise UnusableInput(f"line {lines['line'][before]} is not CSV ({error}); check the quotes") from error
     return pl.DataFrame(rows, {"line": pl.UInt32, "cells": pl.List(pl.String)}, orient="row")
 
 

@@ -1,26 +1,29 @@
-"""Trajectories as tables of poses: the maps that move them, TUM files, and the export of tracks and truths."""
+"""Trajectories as tables of poses: files, alignment, and errors as evo defines them."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
-from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.data.seconds import span
+from trackwright.trackers.core.errors import UnusableInput, listed, require
+from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.wording import counted
+from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate
 from trackwright.trackers.evaluation.rows import AXES
-from trackwright.trackers.exchange.expressions import numbers_of
 from trackwright.trackers.exchange.mapping import refuse_lost_digits, without_identities
-from trackwright.trackers.exchange.text_tables import Reading, read_rows
+from trackwright.trackers.exchange.text_tables import Reading, numbers_of, read_rows
 from trackwright.trackers.recordings.atomic import write_whole
 from trackwright.trackers.recordings.columns import QUATERNION, float_column
-from trackwright.trackers.recordings.folder import Selection, read_recording
+from trackwright.trackers.recordings.folder import RecordingFolder, Selection, read_recording, read_recordings
 from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.tables import (
     SUFFIXES,
@@ -31,10 +34,9 @@ from trackwright.trackers.recordings.tables import (
     restarted_at,
     unwrapped_times,
 )
-from trackwright.trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, read_tracks
+from trackwright.trackers.recordings.tracks_table import is_bearing, read_tracks
 
 TUM = ("t_s", *AXES, *QUATERNION[1:], QUATERNION[0])
-_TUM_WORDS = "8 numbers in each line: time in s, x, y, z in m, quaternion x, y, z, w; other files: `trackwright import`"
 _TEXT = ("recording", "tag", "station", "status", "wrapped")
 
 
@@ -51,11 +53,8 @@ class Poses(NamedTuple):
 
 
 def usable_rows(table: pl.DataFrame) -> pl.DataFrame:
-    """The rows with an estimate, by `status`, time and position, in the order of time."""
-    usable = pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite()).fill_null(False)
-    if "status" in table.columns:
-        usable &= ~pl.col("status").is_in(NO_ESTIMATE).fill_null(False)
-    return table.filter(usable).sort("t_s", maintain_order=True)
+    """The rows with a time and a position over the floor, in the order of time."""
+    return table.filter(pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite())).sort("t_s", maintain_order=True)
 
 
 def poses_of(table: pl.DataFrame, name: str) -> Poses:
@@ -77,32 +76,24 @@ def stacked(table: pl.DataFrame, names: Sequence[str]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """A map of space: p → `scale` · `rotation` p + `translation`, m; `flat` where it leaves heights alone."""
+    """A map of space: p → `scale` · `rotation` p + `translation`, m."""
 
     rotation: np.ndarray
     translation: np.ndarray
     scale: float = 1.0
-    flat: bool = False
-
-    def points(self, positions: np.ndarray) -> np.ndarray:
-        """The images (n, 3) of positions (n, 3), m; an unknown height stays unknown where heights are left alone."""
-        if self.flat:
-            moved = positions.copy()
-            moved[:, :2] = positions[:, :2] @ self.rotation[:2, :2].T + self.translation[:2]
-            return moved
-        return self.scale * positions @ self.rotation.T + self.translation
 
     def table(self, tracks: pl.DataFrame) -> pl.DataFrame:
-        """The image of a table of poses; where they move, velocities and covariances are left out."""
-        if self.flat and np.array_equal(self.rotation, np.eye(3)) and not self.translation.any():
+        """The image of a table of poses; unknown heights stay so. A move leaves velocities and covariances out."""
+        if np.array_equal(self.scale * self.rotation, np.eye(3)) and not self.translation.any():
             return tracks
-        q = stacked(tracks, QUATERNION)
+        p, q = stacked(tracks, AXES), stacked(tracks, QUATERNION)
+        moved = np.where(np.isnan(p), p, self.scale * np.nan_to_num(p) @ self.rotation.T + self.translation)
         known = np.isfinite(q).all(axis=1)
         turned = Rotation.from_matrix(self.rotation) * Rotation.from_quat(q[known], scalar_first=True)
         q[known] = turned.as_quat(canonical=True, scalar_first=True)
-        columns = dict(zip((*AXES, *QUATERNION), (*self.points(stacked(tracks, AXES)).T, *q.T), strict=True))
         kept = tracks.select(pl.exclude("^(std_.*|cov_.*|v[xyz]_mps|heading_rad)$"))
-        return kept.with_columns(pl.Series(n, x).fill_nan(None) for n, x in columns.items() if n in kept.columns)
+        columns = zip((*AXES, *QUATERNION), (*moved.T, *q.T), strict=True)
+        return kept.with_columns(pl.Series(n, x).fill_nan(None) for n, x in columns if n in kept.columns)
 
 
 def read_tum(path: Path) -> TableFile:
@@ -111,7 +102,8 @@ def read_tum(path: Path) -> TableFile:
     counts = file.frame.select(pl.sum_horizontal(pl.all().is_not_null())).to_series()
     if (counts != len(TUM)).any():
         row = first_row(counts != len(TUM))
-        raise UnusableInput(f"{file.location(row, f'column{counts[row]}')}, the last; expected {_TUM_WORDS}")
+        expected = "8 numbers: time in s, x, y, z in m, quaternion x, y, z, w"
+        raise UnusableInput(f"{file.location(row, f'column{counts[row]}')}, the last; expected {expected}")
     return replace(file, frame=file.frame.rename(dict(zip(file.frame.columns, TUM, strict=True))))
 
 
@@ -154,10 +146,7 @@ def write_trajectory(table: pl.DataFrame, path: Path | str) -> Path:
 def export_tracks(
     run: Path, format: Literal["tum", "csv"], out: Path, tag: str | None = None, force: bool = False
 ) -> Iterator[str]:
-    """Exports the tracks in a folder of `track`, or the truth of a recording; a line for each file.
-
-    `tum`: a file for each track, of one track `out`. `force`: replace a file that exists. Raises UnusableInput.
-    """
+    """Exports the tracks in a folder of `track`, or the truth of a recording; a line for each file."""
     recording = read_recording(run) if (run / RIG_FILE).is_file() else None
     table = read_tracks(run) if recording is None else recording.tables.get("truth")
     if table is None:
@@ -173,10 +162,225 @@ def export_tracks(
         names = (re.sub(r"[^\w.-]", "_", f"{recording}-{tag}")[:100] for recording, tag in parts)
         files = [out] if len(parts) == 1 and out.suffix else [out / f"{name}.tum" for name in names]
         tracks = dict(zip(files, parts.values(), strict=True))
-    if out.is_dir() and any(out.iterdir()):
-        raise UnusableInput(f"--out {out}: is a folder with content; expected a new file or an empty folder")
-    if not force and (old := next((path for path in (out, *tracks) if path.is_file()), None)):
-        raise UnusableInput(f"--out {old}: exists; expected a new file; --force replaces it")
+    if not force and (old := [path for path in tracks if path.exists()]):
+        raise UnusableInput(f"--out {old[0]}: exists; expected a new file; --force replaces it")
     for path, rows in tracks.items():
         write_whole(path, rows.write_csv()) if format == "csv" else write_trajectory(rows, path)
         yield f"wrote {path}: {counted(len(rows), 'pose' if format == 'tum' else 'row')}"
+
+
+Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
+Statistics = dict[str, float]
+ALIKE = 0.3  # the least correlation of aligned positions with the true ones from which an alignment is taken
+STEPS = ("1m", "1s")
+
+
+def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estimate") -> Similarity:
+    """The map of least squares from poses to true ones, row k to row k (Umeyama 1991), by evo's names of kinds.
+
+    `se2`: in the plane. Raises UnusableInput.
+    """
+    require(kind in get_args(Alignment), "align", kind, f"one of {', '.join(get_args(Alignment))}")
+    x, y, rotation, translation = estimate.positions, truth.positions, np.eye(3), np.zeros(3)
+    axes, n = (2 if kind == "se2" else 3), len(x)
+    if kind == "none":
+        return Similarity(rotation, translation)
+    if axes == 3 and not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise UnusableInput(f"{name}: it or its truth has no height; expected x, y, z for --align {kind}; use se2")
+    if kind == "origin":
+        if estimate.attitudes is not None and truth.attitudes is not None:
+            rotation = (truth.attitudes[0] * estimate.attitudes[0].inv()).as_matrix()
+        return Similarity(rotation, y[0] - rotation @ x[0])
+    x, y = x[:, :axes], y[:, :axes]
+    from_x, from_y = x - x.mean(axis=0), y - y.mean(axis=0)
+    u, d, v = np.linalg.svd(from_y.T @ from_x / n)
+    signs = np.ones(axes)
+    signs[-1] = -1.0 if np.linalg.det(u) * np.linalg.det(v) < 0 else 1.0
+    # A tag at rest turns as the noise of its positions does, which does not follow the truth.
+    still = n * (d * signs).sum() <= ALIKE * np.linalg.norm(from_x) * np.linalg.norm(from_y)
+    if still or np.count_nonzero(d > np.finfo(float).eps) < axes - 1:
+        found = f"{name}: its {n} poses lie on a line, or do not move with the truth"
+        fix = "use --align none, or origin where heights are known"
+        raise UnusableInput(f"{found}, so that --align {kind} finds no rotation; expected motion; {fix}")
+    scale = float((d * signs).sum() / ((from_x**2).sum() / n)) if kind in ("sim3", "scale") else 1.0
+    if kind != "scale":
+        rotation[:axes, :axes] = (u * signs) @ v
+        translation[:axes] = y.mean(axis=0) - scale * rotation[:axes, :axes] @ x.mean(axis=0)
+    return Similarity(rotation, translation, scale)
+
+
+def associate(estimate: np.ndarray, truth: np.ndarray, tolerance: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
+    """The rows whose times belong together: for each of the fewer the nearest of the others within `tolerance`, s."""
+    longer = len(estimate) > len(truth)
+    nearest, apart = _nearest(*((estimate, truth) if longer else (truth, estimate)))
+    kept = np.flatnonzero(apart <= tolerance)
+    return (nearest[kept], kept) if longer else (kept, nearest[kept])
+
+
+def _nearest(ordered: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The row of the nearest of sorted numbers to each wanted one, the first of equal ones; and how far it is."""
+    after = np.searchsorted(ordered, wanted)
+    rows = np.clip(np.stack([after - 1, after]), 0, len(ordered) - 1)
+    rows = np.searchsorted(ordered, ordered[rows])
+    apart = np.abs(ordered[rows] - wanted)
+    return np.where(apart[0] <= apart[1], rows[0], rows[1]), apart.min(axis=0)
+
+
+def step_of(text: str) -> tuple[str, float, str]:
+    """The name, size and unit of a step as `1m` (along the path), `0.5s` or `10f` (rows); else raises UnusableInput."""
+    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([msf])", text.strip())
+    if match is None or float(match[1]) == 0 or (match[2] == "f" and float(match[1]) % 1):
+        raise UnusableInput(f"--rpe {text!r}; expected a step such as 1m, 0.5s or 10f (rows), above zero")
+    return f"{float(match[1]):g}{match[2]}", float(match[1]), match[2]
+
+
+def _pairs(poses: Poses, size: float, unit: str) -> tuple[np.ndarray, np.ndarray]:
+    """First and last rows of the relative errors, each from the end of the one before."""
+    metres, seconds = np.linalg.norm(np.diff(poses.positions, axis=0), axis=1), np.diff(poses.times)
+    # Ten times 0.1 s, rounded, are a second.
+    ends, since, wanted = [0], 0.0, size * (1 - 1e-9) if unit == "s" else size
+    for row, length in enumerate({"m": metres, "s": seconds, "f": np.ones_like(seconds)}[unit].tolist(), 1):
+        since += length
+        if since >= wanted:
+            ends.append(row)
+            since = 0.0
+    return np.array(ends[:-1], int), np.array(ends[1:], int)
+
+
+def statistics(errors: np.ndarray) -> Statistics:
+    """The statistics of errors (n,), n > 0, under the names that evo gives them."""
+    squares = float(np.sum(errors**2))
+    named = {name: float(getattr(np, name)(errors)) for name in ("mean", "median", "std", "min", "max")}
+    return {"n": len(errors), "rmse": math.sqrt(squares / len(errors))} | named | {"sse": squares}
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryErrors:
+    """Statistics of absolute errors (`ape`) and of relative ones by step (`rpe`) of a track.
+
+    `pairs`: poses with a true one, of `possible`, the length of the shorter trajectory. `planar`: a height is unknown,
+    so that errors are horizontal. `time_offset_s` and `alignment` lead from the estimate to the table `aligned`.
+    """
+
+    pairs: int
+    possible: int
+    planar: bool
+    time_offset_s: float
+    time_tolerance_s: float
+    alignment: Similarity
+    aligned: pl.DataFrame
+    ape_m: Statistics
+    ape_rad: Statistics | None
+    rpe_m: Mapping[str, Statistics]
+    rpe_rad: Mapping[str, Statistics]
+    recording: str = ""
+    tag: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it in plain numbers, for JSON; the angles in rad."""
+        return {name: value for name, value in asdict(self).items() if name != "aligned"}
+
+
+def compare_trajectories(
+    estimate: pl.DataFrame, truth: pl.DataFrame, align: Alignment = "none", time_offset: float = 0.0,
+    tolerance: float = 0.01, rpe: Sequence[str] = STEPS, *, name: str = "estimate",
+) -> TrajectoryErrors:  # fmt: skip
+    """The errors of an estimated trajectory, as evo defines them: of poses at most `tolerance`, s, apart.
+
+    Tables of one tag with t_s, x_m, y_m and, where known, z_m, qw … qz. `align`: see `alignment`. `time_offset`: s,
+    added to the times of the estimate. `rpe`: steps as 1m, 1s or 10f (rows). Relative errors are of displacements in
+    the frame of the truth, with attitudes in the body's. Raises UnusableInput where nothing fits.
+    """
+    steps = [step_of(text) for text in rpe]
+    require(tolerance >= 0, "tolerance", tolerance, "a time of zero or more, s")
+    own, true = (poses_of(table, what) for table, what in ((estimate, name), (truth, f"truth of {name}")))
+    times = own.times + time_offset
+    rows, true_rows = associate(times, true.times, tolerance)
+    if not len(rows):
+        spans = f"estimates from {span(*times[[0, -1]])}, truth from {span(*true.times[[0, -1]])}"
+        fix = f"give a --time-offset: with {round(true.times[0] - own.times[0], 6):.16g} both begin together"
+        raise UnusableInput(f"{name}: no pose lies within {tolerance:g} s of a true one: {spans}; {fix}")
+    similarity = alignment(align, own.at(rows), true.at(true_rows), name)
+    aligned = similarity.table(estimate).with_columns(pl.col("t_s") + time_offset)
+    pair = [poses_of(aligned, name).at(rows), true.at(true_rows)]
+    planar = not (np.isfinite(own.positions).all() and np.isfinite(true.positions).all())
+    if planar:
+        pair = [one._replace(positions=np.nan_to_num(one.positions) * [1, 1, 0]) for one in pair]
+    turns = [one.attitudes for one in pair if one.attitudes is not None]
+    rpe_m, rpe_rad = dict[str, Statistics](), dict[str, Statistics]()
+    for step, size, unit in steps:
+        first, last = _pairs(pair[0], size, unit)
+        if not len(first):
+            continue
+        moved = [one.positions[last] - one.positions[first] for one in pair]
+        if len(turns) == 2:
+            moved = [turn[first].inv().apply(way) for turn, way in zip(turns, moved, strict=True)]
+            estimated, of_truth = (turn[first].inv() * turn[last] for turn in turns)
+            rpe_rad[step] = statistics((of_truth.inv() * estimated).magnitude())
+        rpe_m[step] = statistics(np.linalg.norm(moved[0] - moved[1], axis=1))
+    return TrajectoryErrors(
+        len(rows), min(len(times), len(true.times)), planar, time_offset, tolerance, similarity, aligned,
+        ape_m=statistics(np.linalg.norm(pair[0].positions - pair[1].positions, axis=1)),
+        ape_rad=statistics((turns[0].inv() * turns[1]).magnitude()) if len(turns) == 2 else None,
+        rpe_m=rpe_m, rpe_rad=rpe_rad,
+    )  # fmt: skip
+
+
+def read_poses(
+    source: Path, truth: Sequence[Path], part: Selection, say: Callable[[str], None]
+) -> tuple[pl.DataFrame, list[RecordingFolder]]:
+    """Estimates of a file or a folder of `track`, and the recordings with their truths; `say` gets each notice.
+
+    `truth`: recordings, or a trajectory file of the one tag that the estimates follow. Raises UnusableInput.
+    """
+    if not truth or not (all(path.is_dir() for path in truth) or [path.is_file() for path in truth] == [True]):
+        found, expected = listed(truth) or "none", "recording folders, or one trajectory file, that exist"
+        raise UnusableInput(f"--truth: found {found}; expected {expected}")
+    tracks, lines = (read_tracks(source), []) if source.is_dir() else read_trajectory(source)
+    tag = part.tags[0] if len(part.tags) == 1 else None
+    if truth[0].is_dir():
+        folders = read_recordings(truth)
+    else:
+        # The truth in a file has the names of the one track that it belongs to.
+        keys = [name for name in ("recording", "tag") if name in tracks.columns]
+        one = part.of_estimates(tracks).select(keys).unique().rows(named=True) if "tag" in keys else [{}]
+        names = {"recording": truth[0].stem, "tag": tag or "1"} | (one[0] if len(one) == 1 else {})
+        table, said = read_trajectory(truth[0])
+        table = table if "tag" in table.columns else table.with_columns(tag=pl.lit(names["tag"]))
+        table = table.select("^(t_s|tag|[xyz]_m|q[wxyz])$")
+        rig = Rig(names["recording"])
+        folders = [RecordingFolder(rig.name, truth[0], rig, {"truth": table}, tuple(said))]
+    truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
+    if not truths:
+        raise UnusableInput(f"{truth[0]}: no truth table; expected a recording with truth, or a trajectory file")
+    tags = sorted({str(one) for table in truths.values() for one in table["tag"].unique()})
+    for name, known, option in (("recording", [*truths], "--truth"), ("tag", [tag] * (tag in tags) or tags, "--tag")):
+        if name not in tracks.columns:
+            if len(known) != 1:
+                raise UnusableInput(f"{source}: names no {name}; the truth has {listed(known)}; give one by {option}")
+            tracks = tracks.with_columns(pl.lit(known[0]).alias(name))
+    for path, notices in ((source, lines), *zip(truth, (folder.notices for folder in folders), strict=True)):
+        for line in notices:
+            say(f"{path}: {line}")
+    return part.of_estimates(tracks), folders
+
+
+def compare_tracks(
+    tracks: pl.DataFrame, folders: Sequence[RecordingFolder], *options: Any
+) -> tuple[pl.DataFrame, list[TrajectoryErrors], Evaluation]:
+    """The tracks as compared by options of `compare_trajectories`, the errors of each that has a truth, and metrics."""
+    if is_bearing(tracks):
+        raise UnusableInput("the tracks hold bearings; expected positions; leave the trajectory options out")
+    none, compared = pl.DataFrame(schema={"tag": pl.String}), list[TrajectoryErrors]()
+    truths = {folder.name: folder.tables.get("truth", none) for folder in folders}
+    by_track = tracks.partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
+    for (recording, tag), rows in by_track.items():
+        truth = truths.get(str(recording), none).filter(pl.col("tag").cast(pl.String) == str(tag))
+        if not truth.is_empty():
+            errors = compare_trajectories(rows, truth, *options, name=f"track of tag {tag} in '{recording}'")
+            compared.append(replace(errors, recording=str(recording), tag=str(tag)))
+    if not compared:
+        found = f"tracks of {listed(f'{name}, tag {tag}' for name, tag in by_track)}; truths of {listed(truths)}"
+        raise UnusableInput(f"no track has a truth: {found}; give the --truth of the same recording and tag")
+    moved = pl.concat([errors.aligned for errors in compared])
+    return moved, compared, evaluate(moved, folders)

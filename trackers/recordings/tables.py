@@ -89,7 +89,8 @@ def read_table_file(path: Path) -> TableFile:
     return file
 
 
-def _content(path: Path) -> bytes:
+def content_of_file(path: Path) -> bytes:
+    """The bytes of a file, unpacked where its name ends with .gz; raises UnusableInput."""
     try:
         data = file_bytes(path)
         return gzip.decompress(data) if path.name.endswith(".gz") else data
@@ -102,7 +103,7 @@ def _content(path: Path) -> bytes:
 
 def read_parquet(path: Path) -> pl.DataFrame:
     """The columns of a Parquet file; raises UnusableInput for a broken file."""
-    data = _content(path)
+    data = content_of_file(path)
     try:
         return pl.read_parquet(io.BytesIO(data))
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
@@ -111,7 +112,7 @@ def read_parquet(path: Path) -> pl.DataFrame:
 
 def _csv(path: Path) -> TableFile:
     """The cells of a CSV file as text; blank lines are left out."""
-    data = _content(path)
+    data = content_of_file(path)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

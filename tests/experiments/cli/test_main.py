@@ -22,7 +22,7 @@ from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.cli import console, options
 from trackwright.experiments.cli.commands import COMMANDS, SECTIONS, application
 from trackwright.sim import worlds
-from trackwright.trackers.exchange import pose_errors
+from trackwright.trackers.exchange import trajectories
 from trackwright.trackers.recordings import folder
 from trackwright.trackers.recordings.folder import write_recording
 
@@ -130,7 +130,7 @@ def test_an_output_that_takes_no_more_is_a_line_or_none(end, code):
 
 
 def test_choices_are_those_of_the_library_which_help_does_not_import():
-    assert get_args(options.Alignment) == get_args(pose_errors.Alignment)
+    assert get_args(options.Alignment) == get_args(trajectories.Alignment)
 
 
 @pytest.mark.parametrize("kilobytes", [1, 12])

@@ -87,7 +87,7 @@ def test_a_bag_becomes_a_recording(bags, tmp_path, name):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--table", "truth"), ("no --topic", "/vicon/cart (geometry_msgs/msg/PoseStamped, 12)")),
+        (("--table", "truth"), ("has no messages", "/vicon/cart (geometry_msgs/msg/PoseStamped, 12)")),
         (("--table", "truth", "--topic", "/vicon/cart"), ("truth needs tag", "--tag ID")),
         (("--table", "ranges", "--topic", "/uwb"), ("uwb_msgs/msg/Ranges", "no standard message", "'range_m=FIELD'")),
         (("--table", "ranges", "--topic", "/uwb", "--columns", "range_m=ranges[].distance"), ("message 1", "no field")),

@@ -11,8 +11,12 @@ from tests.in_process import assert_refused, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.rows import AXES
-from trackwright.trackers.exchange.pose_errors import associate, compare_trajectories
-from trackwright.trackers.exchange.trajectories import read_trajectory, write_trajectory
+from trackwright.trackers.exchange.trajectories import (
+    associate,
+    compare_trajectories,
+    read_trajectory,
+    write_trajectory,
+)
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import read_recording
 
@@ -83,7 +87,7 @@ def test_a_turned_and_shifted_trajectory_is_aligned_to_no_error(align, scale):
     moved = scale * Rotation.from_euler("zyx", euler).apply(SPIRAL.select(AXES).to_numpy()) + (4.0, -1.0, up)
     found = compare_trajectories(_table(TIMES, moved), SPIRAL, align)
     assert found.ape_m["max"] < 1e-9
-    assert found.similarity.scale == pytest.approx(1 / scale)
+    assert found.alignment.scale == pytest.approx(1 / scale)
     assert found.rpe_m["1s"]["max"] < 1e-9
 
 
@@ -102,7 +106,11 @@ STILL = "do not move with the truth.*use --align none, or origin"
 @pytest.mark.parametrize(
     ("own", "options", "words"),
     [
-        (SPIRAL.with_columns(pl.col("t_s") + 99.0), {}, "no pose lies within 0.01 s.*with -99 both begin together"),
+        (
+            SPIRAL.with_columns(pl.col("t_s") + 99.0),
+            {},
+            "no pose lies within 0.01 s of a true one.*with -99 both begin together",
+        ),
         (LINE, {"align": "se3"}, "on a line"),
         (SPIRAL, {"align": "twist"}, "expected one of"),
         (SPIRAL.drop("z_m"), {"align": "se3"}, "has no height"),

@@ -140,13 +140,13 @@ class Compared(NamedTuple):
         view = self if self.moment is None else self.located()
         return view.kind.errors(view.values, view.positions, view.sensors, view.columns)
 
-    def sizes(self, errors: Float[np.ndarray, "N m"] | None = None) -> Float[np.ndarray, "G m"]:
+    def sizes(self, errors: Float[np.ndarray, "N m"] | None = None, bias: bool = True) -> Float[np.ndarray, "G m"]:
         """The median size of the errors of each group and column, NaN where fewer than half of them are known.
 
-        Less their median, as far as it may be the sensor's own.
+        Less their median, as far as it may be the sensor's own, if it may have a `bias`.
         """
         errors = self.errors() if errors is None else errors
-        most, sizes = self.kind.sizes("bias", errors.shape[1]), np.full((len(self.ids), errors.shape[1]), np.nan)
+        most, sizes = bias * self.kind.sizes("bias", errors.shape[1]), np.full((len(self.ids), errors.shape[1]), np.nan)
         for k, part in enumerate(np.split(errors, np.searchsorted(self.group, np.arange(1, len(self.ids))))):
             known = 2 * np.isfinite(part).sum(axis=0) >= max(len(part), 1)
             middle = np.clip(known_median(part), -most, most)
