@@ -26,14 +26,14 @@ def check(*recordings: Recording, tracker: Name | None = None, json: bool = Fals
         tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
         json: print JSON instead of lines: by folder, the results with level, where and message.
     """
-    from trackwright.trackers.catalogue import run_files
+    from trackwright.trackers.catalogue import run_file_of
     from trackwright.trackers.recordings.archives import recordings_under
     from trackwright.trackers.recordings.atomic import json_text
     from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
     from trackwright.trackers.recordings.folder import read_recording
 
-    run_files(tracker)
+    run_file_of(tracker)
     failed, by_folder = False, {}
     for path in (path for given in recordings for path in recordings_under(given)):
         results = check_recording(read_recording(path))

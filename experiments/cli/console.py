@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trackwright.experiments.cli.options import Readings
+from trackwright.experiments.cli.options import Numbers, Readings
 from trackwright.experiments.text.terminal import Begin, notice, stages
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.atomic import json_text, write_whole
@@ -98,3 +98,16 @@ def prepared(
             notice(f"not tracked: {line}")
         raise UnusableInput(refused[0])
     return folders
+
+
+def chosen_tracker(folders: Sequence[RecordingFolder], numbers: Numbers) -> str:
+    """The tracker that options name, or that fits the first recording, with a notice of what it leaves unread."""
+    from trackwright.trackers.catalogue import fitting, spec_of
+
+    name = numbers.named or fitting(folders[0])
+    if numbers.tracker is None:
+        spec = spec_of(name)
+        unread = {table for folder in folders for table in folder.tables} - spec.reads - {"imu", "truth"}
+        without = f"; without {listed(sorted(unread))}" if unread else ""
+        notice(f"tracker: {name} ({spec.about}{without}); choose another with --tracker")
+    return name

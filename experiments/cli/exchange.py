@@ -7,7 +7,7 @@ from typing import Annotated, Literal, get_args
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Folder, Name, Numbers, Seconds, TrackOptions
+from trackwright.experiments.cli.options import File, Folder, Name, Numbers, Seconds
 from trackwright.trackers.exchange.formats import FORMATS
 
 Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
@@ -122,15 +122,15 @@ def export(
         print("\n".join(export_tracks(run, format, out, tag, force)))
         return 0
     from trackwright.trackers.c_source import write_c
-    from trackwright.trackers.catalogue import build, fitting
+    from trackwright.trackers.catalogue import fitting
     from trackwright.trackers.recordings.archives import require_new
     from trackwright.trackers.recordings.folder import read_recording
     from trackwright.trackers.recordings.selection import Selection
 
     require_new(out, "tracker.c", force)
-    options = TrackOptions(out=out.parent, numbers=Numbers(tracker=tracker), noise=noise)
-    options.read()
+    numbers = Numbers(tracker=tracker, noise=noise)
+    numbers.read()
     folder = Selection(() if tag is None else (tag,)).of(read_recording(run))
-    written = write_c(options.valued(build(options.named or fitting(folder), folder)), folder, out)
+    written = write_c(numbers.build(numbers.named or fitting(folder), folder), folder, out)
     print(f"wrote {', '.join(map(str, written))}")
     return 0

@@ -10,13 +10,13 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import Address, Figures, Out, file_format
+from trackwright.experiments.cli.options import Cluster, Figures, Out, file_format
 
 
 def study(
     what: Annotated[str, Parameter(name="STUDY")] = "", /, *, out: Out | None = None, runs: int | None = None,
     seed: int | None = None, until: Annotated[str, Parameter(metavar="METRIC±WIDTH")] | None = None,
-    cluster: Address | None = None, figures: Figures = "page",
+    cluster: Cluster | None = None, figures: Figures = "page",
 ) -> int:  # fmt: skip
     """Run a Monte Carlo study: worlds × trackers × a grid × runs.
 
@@ -41,7 +41,6 @@ def study(
     from trackwright.experiments.pages.reports.pages import write_page
     from trackwright.experiments.text.terminal import notice
     from trackwright.experiments.text.wording import figures_drawn
-    from trackwright.trackers.core.run.chunks import n_workers
     from trackwright.trackers.core.wording import counted
     from trackwright.trackers.recordings.atomic import write_whole
 
@@ -55,10 +54,7 @@ def study(
     stop, folder = until and StopRule.parse(until, declared), out or Path("out") / f"study-{declared.name}"
     total = len(declared.conditions) * declared.chunks
     with running("study") as begin, cluster_executor(cluster) if cluster else nullcontext() as executor:
-        where = f"on {cluster}" if cluster else f"{n_workers()} in parallel"
-        parts = (len(declared.conditions), "condition"), (declared.runs, "run"), (len(declared.trackers), "tracker")
-        size = f"{' × '.join(counted(*part) for part in parts)} in {counted(total, 'chunk')} of {declared.chunk}"
-        notice(f"{declared.name}: {declared.about} {size}, {where}")
+        notice(f"{declared.name}: {declared.about} {counted(total, 'chunk')} of {declared.chunk} trajectories")
         results = run_study(declared, folder, stop or None, begin(declared.name, total), executor)
     expected = [] if declared.expected is None else [*declared.expected(results)]
     print(pages.to_text(results, expected), end="")

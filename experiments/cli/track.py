@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+from cyclopts import Parameter
+
 from trackwright.experiments.cli.options import (
     EvaluateOptions,
-    PoseOptions,
+    Name,
+    Numbers,
+    Out,
+    Readings,
     Recording,
-    SweepOptions,
     TrackOptions,
     TuneOptions,
 )
@@ -25,9 +31,8 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
     """
     from trackwright.experiments.cli.console import keep_programs, prepared, running
     from trackwright.trackers.recordings.archives import archive_of
-    from trackwright.trackers.recordings.atomic import json_text
 
-    options.read()
+    options.numbers.read()
     with running("track", options.json) as begin:
         begin("reading")
         refused = list[str]()
@@ -39,17 +44,19 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
         if archive:
             from trackwright.experiments.cli.archive import track_archive
 
-            code, found = track_archive(archive, options, begin)
+            code, evaluation = track_archive(archive, options, begin)
         else:
             from trackwright.experiments.cli.tracking import track_together
 
-            code, found = track_together(folders, refused, options, begin)
+            code, evaluation = track_together(folders, refused, options, begin)
     if options.json:
-        print(json_text(found), end="")
+        from trackwright.experiments.text.evaluation_text import to_json
+
+        print(to_json(evaluation), end="")
     return code
 
 
-DEFAULTS = EvaluateOptions()
+DEFAULTS, NUMBERS, READINGS = EvaluateOptions(), Numbers(), Readings()
 
 
 def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> int:
@@ -65,19 +72,19 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
             tag, which --tag names; to compare, two or more folders of `track`, or two or more of `study`.
     """
     from trackwright.experiments.cli.evaluating import evaluate_poses, evaluate_run, print_comparison
-    from trackwright.trackers.recordings.tracks_table import require_sources
 
-    run, poses, truth = runs[0], options.poses, options.truth
+    run, truth = runs[0], options.truth
     if len(runs) > 1:
-        if options != EvaluateOptions(json=options.json, poses=PoseOptions(out=poses.out)):
+        if options != EvaluateOptions(json=options.json, out=options.out):
             raise UnusableInput(f"evaluate: {len(runs)} runs to compare; expected no option but --json and --out")
-        print_comparison(runs, poses.out, json=options.json)
+        print_comparison(runs, options.out, json=options.json)
         return 0
+    if options.out is not None:
+        raise UnusableInput("evaluate: --out is the folder for a comparison; expected two runs or more; leave it out")
     if not run.exists():
         raise UnusableInput(f"{run}: no such file; expected a folder with tracks.parquet, or a file of estimates")
-    if run.is_file() or poses != PoseOptions() or not all(path.is_dir() for path in truth):
-        return evaluate_poses(run, truth if truth or run.is_file() else require_sources(run), options)
-    return evaluate_run(run, options)
+    of_poses = run.is_file() or options.of_poses or not all(path.is_dir() for path in truth)
+    return evaluate_poses(run, options) if of_poses else evaluate_run(run, options)
 
 
 def tune(*recordings: Recording, options: TuneOptions) -> int:
@@ -91,7 +98,7 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
     """
     from trackwright.experiments.cli.console import keep_programs, prepared, running
 
-    options.read()
+    options.numbers.read()
     with running("tune") as begin:
         begin("reading")
         folders = prepared((*recordings, *options.held_out), options.used)
@@ -103,23 +110,32 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
         return tune_folders(folders, len(recordings), options, begin)
 
 
-def sweep(*recordings: Recording, options: SweepOptions) -> int:
+def sweep(
+    *recordings: Recording, out: Out,
+    over: Annotated[tuple[str, ...], Parameter(metavar="PATTERN=START:STOP:COUNT[:log]...")],
+    objective: Name = "rmse", numbers: Numbers = NUMBERS, used: Readings = READINGS,
+) -> int:  # fmt: skip
     """Evaluate an objective on a grid of one or two noise levels.
 
     Writes sweep.csv, the figure sweep.png and manifest.json.
 
     Args:
         recordings: recording folders, all at once.
+        out: the folder to write to.
+        over: a shell pattern of tunables, tied, and their values; once or twice. ':log' makes equal ratios.
+        objective: rmse (horizontal; needs truth), nll, or another objective of `tune`.
     """
     from trackwright.experiments.cli.console import keep_programs, prepared, running
+    from trackwright.tuning.tuned_file import parse_grids
 
-    options.read()
-    _ = options.grids
+    numbers.read()
+    grids = parse_grids(over, "--over")
     with running("sweep") as begin:
         begin("reading")
-        folders = prepared(recordings, options.used)
+        folders = prepared(recordings, used)
         begin("preparing")
         keep_programs()
         from trackwright.experiments.cli.tuning import sweep_folders
 
-        return sweep_folders(folders, options, begin)
+        sweep_folders(folders, grids, objective, numbers, out, begin)
+    return 0

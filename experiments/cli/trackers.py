@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import textwrap
+from contextlib import suppress
 from pathlib import Path
 
-from trackwright.experiments.cli.commands import rows
 from trackwright.experiments.cli.options import Name
-from trackwright.trackers.catalogue import ENTRIES, run_files
+from trackwright.trackers.catalogue import ENTRIES, run_file_of
 from trackwright.trackers.core.errors import UnusableInput
 
 
@@ -25,14 +25,16 @@ def trackers(tracker: Name | None = None, folder: Path | None = None, /) -> int:
         folder: a recording folder with the stations or anchors that it gets.
     """
     if tracker is None:
-        print("\n".join(rows(((name, f"{entry.about} ({entry.table})") for name, entry in ENTRIES.items()), 29)))
+        for name, entry in ENTRIES.items():
+            about = f"{name:<26} {entry.about} ({entry.table})"
+            print(textwrap.fill(about, 80, subsequent_indent=" " * 27, break_on_hyphens=False))
         return 0
     if folder is None:
         raise UnusableInput(f"trackers {tracker}: its tunables belong to an installation; give a recording FOLDER, too")
-    from trackwright.experiments.text.tables import aligned, terminal_width
+    from trackwright.experiments.text.tables import aligned
     from trackwright.trackers.recordings.folder import read_recording
 
-    run_files(tracker)
+    run_file_of(tracker)
     recording = read_recording(folder)
     # jax takes a second to import, which the help and a refused recording need not wait for.
     import numpy as np
@@ -42,24 +44,15 @@ def trackers(tracker: Name | None = None, folder: Path | None = None, /) -> int:
     from trackwright.tuning.parameters import noise_levels
 
     named = build(tracker, recording)
-    sentences = meanings(named.tracker)
-    try:
+    sentences, fitted = meanings(named.tracker), set[str]()
+    with suppress(UnusableInput):
         fitted = {*noise_levels(named.tracker)}
-    except UnusableInput:
-        fitted = set[str]()
-    cells = [("tunable", "value", "unit", "bounds")]
+    cells = [("tunable", "value", "unit", "bounds", "meaning")]
     for name, node in named.tunables.items():
         values = np.asarray(node.value, float)
         text = ", ".join(f"{x:.4g}" for x in values.ravel())
         if values.size > 3:
-            ends = " to ".join(dict.fromkeys(f"{x:.4g}" for x in (values.min(), values.max())))
-            text = f"{' x '.join(map(str, values.shape))}: {ends}"
-        cells.append((name + "*" * (name in fitted), text, "" if node.unit == "1" else node.unit, node.bounds))
-    head, *lines = aligned(cells).splitlines()
-    print(head)
-    meant = [sentences[name] for name in named.tunables]
-    for line, sentence, following in zip(lines, meant, [*meant[1:], ""], strict=True):
-        print(line.rstrip())
-        if sentence and sentence != following:
-            print(textwrap.fill(sentence, terminal_width(), initial_indent="    ", subsequent_indent="    "))
+            text = f"{' x '.join(map(str, values.shape))}: {values.min():.4g} to {values.max():.4g}"
+        cells.append((name + "*" * (name in fitted), text, node.unit, node.bounds, sentences[name]))
+    print(aligned(cells))
     return 0

@@ -1,27 +1,22 @@
-"""What `trackwright track` does with recordings that were read: trackers, estimates, events, metrics, files."""
+"""What `trackwright track` does with recordings that were read: estimates, events, metrics, files."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path
-from typing import Any
 
 import trackwright as tw
-from trackwright.experiments.cli.console import LEFT_OUT, notices, write_manifest
-from trackwright.experiments.cli.evaluating import print_comparison
+from trackwright.experiments.cli.console import LEFT_OUT, chosen_tracker, notices, write_manifest
 from trackwright.experiments.cli.options import TrackOptions, file_format
 from trackwright.experiments.pages.reports.pages import typed
 from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
-from trackwright.experiments.text.evaluation_text import content, to_json, to_text
+from trackwright.experiments.text.evaluation_text import to_json, to_text
 from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
-from trackwright.trackers.catalogue import several, spec_of, tracked_by
-from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.user_file import split_name
+from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.cautions import level_caution
 from trackwright.trackers.evaluation.events import EVENTS
@@ -30,20 +25,6 @@ from trackwright.trackers.programs.process_settings import give_back
 from trackwright.trackers.recordings.archives import RESULTS
 from trackwright.trackers.recordings.atomic import Content, write_whole
 from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, sources_text
-
-
-def short(tracker: str) -> str:
-    """The name of a tracker as a folder: for one in a file, without the file."""
-    return split_name(tracker)[1] or tracker
-
-
-def named_runs(options: TrackOptions) -> list[str]:
-    """The trackers that options name, none for those that fit; raises UnusableInput for a repeated one."""
-    names = [*several(options.named).values()]
-    if len(names) > 1 and options.noise is not None:
-        found = options.named
-        raise tw.UnusableInput(f"--noise {options.noise}: belongs to one tracker, found {found}; name one of them")
-    return names
 
 
 def files_of(found: ScoredRun) -> dict[str, Content]:
@@ -56,8 +37,7 @@ def tracked(
     name: str, folders: Sequence[tw.RecordingFolder], options: TrackOptions, begin: Begin
 ) -> tuple[ScoredRun, list[str]]:
     """Runs a tracker on recordings, valued, fitted and smoothed as options ask for; and its notices."""
-    numbers, lines = options.numbers, list[str]()
-    named = options.valued(tw.build(name, folders, numbers.free_height, numbers.side))
+    named, lines = options.numbers.build(name, [*folders]), list[str]()
     parts: list[tuple[tw.NamedTracker, Sequence[tw.RecordingFolder]]] = [(named, folders)]
     if options.fit:
         parts, advance = [], begin("fitting", len(folders))
@@ -74,64 +54,43 @@ def tracked(
 
 
 def track_together(
-    folders: Sequence[tw.RecordingFolder], refused: Sequence[str], options: TrackOptions, begin: Begin
-) -> tuple[int, dict[str, Any]]:
-    """Tracks the recordings, writes all files and prints the metrics; the exit code, and the metrics by tracker.
-    Several trackers get a folder each; those that the user named are compared."""
-    chosen = options.numbers.tracker is None
-    runs, unfit = tracked_by(folders, named_runs(options))
+    folders: Sequence[tw.RecordingFolder], refused: list[str], options: TrackOptions, begin: Begin
+) -> tuple[int, tw.Evaluation]:
+    """Tracks the recordings that the tracker fits, writes all files and prints the metrics; exit code, and metrics."""
+    name, out = chosen_tracker(folders, options.numbers), options.out
+    unfit = [line for folder in folders if (line := spec_of(name).refusal(folder, name))]
+    if len(unfit) == len(folders):
+        raise tw.UnusableInput(unfit[0])
     with suppress(OSError):
-        (options.out / RESULTS).unlink(missing_ok=True)  # left by an earlier archive
-    compared, found, pages = len(runs) > 1 and not chosen, dict[str, Any](), list[dict[str, Any]]()
-    for name, of in runs.items():
-        if chosen:
-            _notice_choice(name, of)
-        out = options.out if len(runs) == 1 else options.out / short(name)
-        run, lines = tracked(name, of, options, begin)
-        notices(lines)
-        for file, rows in files_of(run).items():
-            write_whole(out / file, rows)
-        print(f"{f'{short(name)}: ' if len(runs) > 1 else ''}{words_of(run.tracks.summaries)}")
-        evaluation, written = run.evaluation, list[str]()
-        if evaluation.overall["n"] and not compared:
-            print(to_text(evaluation, terminal_width()), end="")
-        scored = ScoredTracks(run.rows, run.folders, run.tracks.batches)
-        if options.figures != "none":
-            begin("report")
-            known = evaluation if evaluation.overall["n"] else None
-            about, several_runs = f"{name}: {run.named.spec.about}", len(runs) if compared else 1
-            pages.append(run_data(scored, run.events, known, about, short(name), several_runs))
-            if not compared:
-                write_track_page(out / PAGE, [pages.pop()], typed(sys.argv))
-                written.append(PAGE)
-        if (kind := file_format(options.figures)) and not compared:
-            # matplotlib takes a third of a second to import.
-            from trackwright.experiments.pages.charts.recording import plot_tracks
+        (out / RESULTS).unlink(missing_ok=True)  # left by an earlier archive
+    fit = [folder for folder in folders if spec_of(name).refusal(folder, name) is None]
+    run, lines = tracked(name, fit, options, begin)
+    notices(lines)
+    for file, rows in files_of(run).items():
+        write_whole(out / file, rows)
+    print(words_of(run.tracks.summaries))
+    evaluation, written = run.evaluation, list[str]()
+    if evaluation.overall["n"]:
+        print(to_text(evaluation, terminal_width()), end="")
+    scored = ScoredTracks(run.rows, run.folders, run.tracks.batches)
+    if options.figures != "none":
+        begin("report")
+        known = evaluation if evaluation.overall["n"] else None
+        page = run_data(scored, run.events, known, f"{name}: {run.named.spec.about}", name)
+        write_track_page(out / PAGE, [page], typed(sys.argv))
+        written.append(PAGE)
+    if kind := file_format(options.figures):
+        # matplotlib takes a third of a second to import.
+        from trackwright.experiments.pages.charts.recording import plot_tracks
 
-            begin("figures")
-            written.append(figures_drawn(plot_tracks(out, scored, kind)))
-        for event, count in run.events.group_by("event", maintain_order=True).len().iter_rows():
-            print(f"event: {event} ({counted(count, 'time')})")
-        conclude(evaluation, name, len(run.rows), options, out, written)
-        found[short(name)] = content(evaluation)
-    if compared:
-        begin("comparison")
-        if pages:
-            write_track_page(options.out / PAGE, pages, typed(sys.argv))
-            print(f"wrote {options.out / PAGE}")
-        outs, page = [options.out / name for name in found], PAGE if pages else None
-        print_comparison(outs, options.out, file_format(options.figures), page=page is not None, playback=page)
+        begin("figures")
+        written.append(figures_drawn(plot_tracks(out, scored, kind)))
+    for event, count in run.events.group_by("event", maintain_order=True).len().iter_rows():
+        print(f"event: {event} ({counted(count, 'time')})")
+    conclude(evaluation, name, len(run.rows), options, written)
     for line in (*refused, *unfit):
         notice(f"not tracked: {line}")
-    return LEFT_OUT if refused or unfit else 0, found
-
-
-def _notice_choice(name: str, folders: Sequence[tw.RecordingFolder]) -> None:
-    """Says which tracker was chosen for recordings, and what it leaves unread."""
-    spec = spec_of(name)
-    unread = {table for folder in folders for table in folder.tables if table not in spec.reads | {"imu", "truth"}}
-    without = f"; without {listed(sorted(unread))}" if unread else ""
-    notice(f"tracker: {name} ({spec.about}{without}); choose another with --tracker")
+    return LEFT_OUT if refused or unfit else 0, evaluation
 
 
 def words_of(endings: Mapping[str, int]) -> str:
@@ -140,14 +99,12 @@ def words_of(endings: Mapping[str, int]) -> str:
     return f"{counted(sum(endings.values()), 'track')}: {words}"
 
 
-def conclude(
-    evaluation: tw.Evaluation, name: str, rows: int, options: TrackOptions, out: Path, written: Sequence[str] = ()
-) -> None:
+def conclude(evaluation: tw.Evaluation, name: str, rows: int, options: TrackOptions, written: Sequence[str]) -> None:
     """Prints what innovations show without truth, notices levels that seem wrong, and writes the manifest."""
     for sentence in () if evaluation.overall["n"] else evaluation.statements:
         print(f"Without truth: {uncapitalised(sentence)}")
     if not options.fit and (wrong := level_caution(evaluation.overall)):
         notice(f"notice: innovations are {wrong}; --fit fits noise levels to the readings")
-    write_manifest(out, tracker=name, set=options.numbers.values, seed=options.seed)
-    files = f"{out / TRACKS} ({counted(rows, 'estimate')})", EVENTS, EVALUATION, "manifest.json"
-    print(f"wrote {', '.join([*files, *written])}")
+    write_manifest(options.out, tracker=name, set=options.numbers.values, seed=options.seed)
+    table = f"{options.out / TRACKS} ({counted(rows, 'estimate')})"
+    print(f"wrote {', '.join([table, EVENTS, EVALUATION, 'manifest.json', *written])}")

@@ -5,22 +5,23 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from time import monotonic
 
 import numpy as np
 import polars as pl
 
 import trackwright as tw
-from trackwright.experiments.cli.console import notices, output_folder, write_manifest
-from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, file_format
+from trackwright.experiments.cli.console import chosen_tracker, notices, output_folder, write_manifest
+from trackwright.experiments.cli.options import Numbers, TuneOptions, settings
 from trackwright.experiments.jobs.fits import checked_bounds, kept_fit, left_out_estimates, with_fitted
-from trackwright.experiments.pages.charts.tuning import objective_chart, parameter_chart, sweep_plot
+from trackwright.experiments.pages.charts.tuning import sweep_plot
 from trackwright.experiments.pages.reports import before_after as changes
 from trackwright.experiments.pages.reports import tuning as pages
 from trackwright.experiments.pages.reports.pages import typed, write_page
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Advance, Begin, notice
-from trackwright.trackers.catalogue import fitting, spec_of
+from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.evaluation.cautions import mirror_cautions
 from trackwright.trackers.evaluation.evaluate import with_truth
@@ -40,17 +41,9 @@ INTERRUPTED = 130  # the exit code of a command that Ctrl-C ended, as shells hav
 REPEATS = 10  # runs of a particle filter per point of a sweep, with different random numbers
 
 
-def tracker_for_folders(folders: Sequence[tw.RecordingFolder], options: WithNumbers) -> tw.NamedTracker:
-    """The tracker, named, of the options' file or chosen by the tables, with the values of the file and of `--set`."""
-    name, given = options.named or fitting(folders[0]), options.numbers
-    if given.tracker is None:
-        notice(f"tracker: {name}; choose another with --tracker")
-    return options.valued(tw.build(name, folders, given.free_height, given.side))
-
-
 def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: TuneOptions, begin: Begin) -> int:
     """Fits to the first `count` recordings, the others held out, writes all files and prints the table; exit code."""
-    started, named = monotonic(), tracker_for_folders(folders, options)
+    started, named = monotonic(), options.numbers.build(chosen_tracker(folders, options.numbers), [*folders])
     training, held_out = folders[:count], folders[count:]
     notices(mirror_cautions(named, folders))
     data = fit_data(named.only_batch(folders), options.objective, held_out, dimensions=options.dimensions)
@@ -69,7 +62,11 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
     calibrated = None if used.calibration is None else identity(used.calibration)
     content = compared.content() | tuned_content(named.name, objective, result, intervals, calibrated)
     tw.write_tuned(out / "tuned.toml", content)
-    written = ["trace.csv", *_write_trace(data, result, objective, options), "manifest.json"]
+    components, values = numbers.component_names(result.parameters), pages.traces_of(result)[0]
+    trace = {objective: values.objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
+    trace |= dict(zip(components, values.values.T, strict=True))
+    atomic_write(out / "trace.csv", pl.DataFrame(trace).write_csv)
+    written = ["trace.csv", "manifest.json"]
     issues, lines = [], without_intervals(result.uncertainty, intervals)
     if result.uncertainty is not None:
         issues = identifiability_issues(result.uncertainty, result.evaluation.term_gradients, bool(held_out))
@@ -128,27 +125,9 @@ def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
         frozen=options.freeze, bounds=bounds, steps=options.steps, starts=options.starts, prior=options.prior
     )
     begin("searching for starts" if options.starts > 1 else "first evaluation")
-    depends, place = {"options": options.settings(resume=False, figures="page")}, Place(report=report, stage=begin)
+    depends, place = {"options": settings(options, resume=False, figures="page")}, Place(report=report, stage=begin)
     out, say = output_folder(options.out), lambda line: notices([line])
     return kept_fit(data, tune, how, place, out, depends, options.resume, say)
-
-
-def _write_trace(data: FitData, result: tw.FitResult, objective: str, options: TuneOptions) -> list[str]:
-    """Writes the table of the steps and, where asked for, its figures; returns the names of these."""
-    traces, names = pages.traces_of(result), numbers.component_names(result.parameters)
-    columns = {objective: traces[0].objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
-    columns |= dict(zip(names, traces[0].values.T, strict=True))
-    atomic_write(options.out / "trace.csv", pl.DataFrame(columns).write_csv)
-    figure = file_format(options.figures)
-    if figure is None:
-        return []
-    from trackwright.experiments.pages.charts.drawing import write_charts
-
-    rmse = f"RMSE ({'rad' if data.training[0].station else 'm'})"
-    about = {"nll": "negative log-likelihood per measured number (nats)", "rmse": rmse}
-    units = [p.example.unit for p in result.parameters for _ in range(p.size)]
-    charts = [parameter_chart(traces, k, *named) for k, named in enumerate(zip(names, units, strict=True))]
-    return write_charts(options.out, [objective_chart(traces, about.get(objective, objective)), *charts], figure)
 
 
 def _table(result: tw.FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:
@@ -160,21 +139,22 @@ def _table(result: tw.FitResult, objective: str, intervals: Mapping[str, Interva
     return f"{aligned(rows)}\n{objective}: {result.start_value:.5g} -> {result.value:.5g}"
 
 
-def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, begin: Begin) -> int:
-    """Evaluates the objective on the grid, writes all files and prints the best point; the exit code."""
-    started, objective, grids, out = monotonic(), options.objective, options.grids, options.out
-    named = tracker_for_folders(folders, options)
+def sweep_folders(
+    folders: Sequence[tw.RecordingFolder], grids: Mapping[str, np.ndarray], objective: str, numbers: Numbers, out: Path,
+    begin: Begin,
+) -> None:  # fmt: skip
+    """Evaluates the objective on the grid, writes all files and prints the best point."""
+    started, named = monotonic(), numbers.build(chosen_tracker(folders, numbers), [*folders])
     group = named.only_batch(folders)
-    data = fit_data(group, objective, dimensions=options.dimensions)
+    data = fit_data(group, objective, dimensions=2)
     try:
         points = grid_vectors(swept_parameters(group.tracker, list(grids)), list(grids.values()))
     except ValueError as error:
         hint = "; start the grid at a small positive value" if "is positive" in str(error) else ""
-        raise tw.UnusableInput(f"--over {' --over '.join(options.over)}: {error}{hint}") from error
+        raise tw.UnusableInput(f"--over {' --over '.join(grids)}: {error}{hint}") from error
     output_folder(out)
     advance = begin("grid point", len(points) * (REPEATS if is_stochastic(group.tracker) else 1))
     swept = tw.sweep(group.tracker, data.batches(), data.objective, grids, REPEATS, advance, data.weights())
-    begin("figure")
     if not np.isfinite(swept.mean).any():
         raise tw.UnusableInput("the objective is not finite at any grid point; see `trackwright check` on recordings")
     atomic_write(out / "sweep.csv", swept.to_polars(objective).write_csv)
@@ -184,4 +164,3 @@ def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, 
     print(swept.text(objective, unit if objective == "rmse" else ""))
     print(f"{swept.filter_runs} trajectories filtered in {monotonic() - started:.1f} s")
     print(f"wrote {out / 'sweep.csv'}, sweep.png and manifest.json")
-    return 0

@@ -65,14 +65,15 @@ def content_of(path: Path) -> str:
     return digest.hexdigest()
 
 
-def read_archive(out: Path) -> tuple[list[RecordingFolder], list[str]]:
-    """The truths of the recordings in the table of results, by their names there; a line for each without one."""
+def read_archive(out: Path, refused: list[str]) -> list[RecordingFolder]:
+    """The truths of the recordings that an archive has tracks of, by their names there; `refused` gets a line for each
+    without one."""
     path, columns = out / RESULTS, dict.fromkeys(("recording", "path"), pl.String)
     try:
-        rows = pl.read_csv(path, columns=[*columns], schema_overrides=columns).drop_nulls().unique(maintain_order=True)
+        rows = pl.read_csv(path, columns=[*columns], schema_overrides=columns).drop_nulls()
     except (OSError, pl.exceptions.PolarsError) as error:
         raise UnusableInput(f"{path}: cannot be read; expected the table of `track`; run `track` again") from error
-    truths, refused = list[RecordingFolder](), list[str]()
+    truths = list[RecordingFolder]()
     for name, source in rows.select("recording", "path").iter_rows():
         try:
             truth = replace(read_truth(Path(source)), name=name)
@@ -81,7 +82,7 @@ def read_archive(out: Path) -> tuple[list[RecordingFolder], list[str]]:
             truths.append(truth)
         except UnusableInput as problem:
             refused.append(str(problem))
-    return truths, refused
+    return truths
 
 
 def require_output(path: Path) -> None:

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
-from markupsafe import Markup
 
 from trackwright.experiments.monte_carlo.declaration import short
 from trackwright.experiments.pages.charts.distributions import Curve, distribution
@@ -306,18 +305,9 @@ def _plans(runs: Sequence[Run]) -> Iterator[Chart]:
 
 
 def write_comparison(
-    path: Path,
-    runs: Sequence[str],
-    tables: Sequence[Section],
-    charts: Sequence[Chart],
-    command: Sequence[str],
-    playback: str | None = None,
+    path: Path, runs: Sequence[str], tables: Sequence[Section], charts: Sequence[Chart], command: Sequence[str]
 ) -> Path:
-    """Writes the page whole or not at all; returns the path. Raises UnusableInput where it can't be written.
-
-    `playback`: the name of a page beside it that plays the runs back.
-    """
+    """Writes the page whole or not at all; returns the path. Raises UnusableInput where it can't be written."""
     title = " and ".join(runs) if len(runs) == 2 else f"{len(runs)} runs: {', '.join(runs)}"
-    link = Markup('<a href="{0}">{0}</a> plays the same runs back, with a selector of the tracker.').format(playback)
     sections = [*tables, Section("Figures", parts=[list(charts)])]
-    return write_page(path, report_page("comparison", title, [link] if playback else [], sections, [typed(command)]))
+    return write_page(path, report_page("comparison", title, [], sections, [typed(command)]))

@@ -79,7 +79,7 @@ def test_trackers_are_listed_with_their_tables_and_the_tunables_of_one(simulated
     done = trackwright("trackers", "beam", simulated)
     assert (done.code, done.err) == (0, "")
     lines = {line.split()[0]: line for line in done.out.splitlines() if not line.startswith("   ")}
-    assert re.search(r"motion.sigma_a\*\s+\S+\s+rad/s\^2\S*\s+> 0$", lines["motion.sigma_a*"])
+    assert re.search(r"motion.sigma_a\*\s+\S+\s+rad/s\^2\S*\s+> 0\s+sigma_a: ", lines["motion.sigma_a*"])
     assert "8: " in lines["sensors.phases.offsets"]
     assert not any(name.startswith("start.") and name.endswith("*") for name in lines)
 

@@ -43,9 +43,7 @@ MISTAKES = [
     ("tune {good} {copy} --out out", "both named 'good'", "rename"),
     ("track {good} --tracker kalman --out out", "tracker kalman: unknown", "direct, cascade, beam, das"),
     ("track {good} --tracker MHK --out out", "tracker MHK: unknown (did you mean mhk?)"),
-    ("track {good} --tracker mhk, --out out", "a name is empty; expected names with commas, without blanks"),
-    ("track {good} --tracker uwb,uwb --out out", "twice"),
-    ("track {good} --tracker a.py:T,b.py:T --out out", "twice"),
+    ("track {good} --tracker mhk,imm --out out", "found 2 names; expected one; `evaluate A B` compares"),
     ("track {good} --tracker trilateration --out out", "height_m in rig.toml for every tag, found none for T2"),
     ("track {simulated} --tracker beam --out {simulated}", "--out", "is a recording folder"),
     ("track {simulated} --tracker beam --out {file}", "choose another folder"),
@@ -56,7 +54,7 @@ MISTAKES = [
     ("track {fixes} --tracker floor-pf --out out", "floor-pf", "[floor]", "walls_m or outline_m"),
     ("track {fixes} --tracker fix-mirror --out out", "fix-mirror", "at least 3 anchors"),
     ("track {fixes} --calibration {file} --out out", "no format, expected the calibration.toml"),
-    ("tune {good} --tracker mhk,imm --out out", "found 2 names; expected one; `track` compares several"),
+    ("tune {good} --tracker mhk,imm --out out", "found 2 names; expected one"),
     ("tune {good} --tracker bearings --out out", "2 different 'bearings' trackers", "free_height"),
     ("tune {simulated} --tracker das --out out", "no noise level of motion or sensors to tune", "no tunable"),
     ("tune {blind} --tracker fix-kf --objective rmse --out out", "objective rmse needs truth", "nll"),
@@ -290,9 +288,9 @@ NOISE_FILES = [
     ("content", "word", "command"), [(*x, y) for x, y in zip(NOISE_FILES, cycle(("track", "tune")))]
 )
 def test_a_noise_file_that_does_not_fit_is_refused(tmp_path, simulated, content, word, command):
-    file, option = tmp_path / "tuned.toml", "--noise" if command == "track" else "--start"
+    file = tmp_path / "tuned.toml"
     file.write_text(content)
-    said = trackwright(command, simulated, "--tracker", "beam", option, file, "--out", tmp_path / "out")
+    said = trackwright(command, simulated, "--tracker", "beam", "--noise", file, "--out", tmp_path / "out")
     assert_refused_last(said, str(file), word)
     assert not (tmp_path / "out").exists()
 

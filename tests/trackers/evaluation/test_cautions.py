@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.sim import worlds
-from trackwright.trackers.catalogue import build, tracked_by
+from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.cautions import late_readings
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -43,6 +43,4 @@ def test_ranges_and_an_imu_are_tracked_without_the_imu_where_the_ranges_suffice(
     three = folder.tables["ranges"].filter(pl.col("anchor").is_in(sorted(folder.rig.anchors)[:3]))
     for ranges, expected in ((folder.tables["ranges"], "uwb"), (three, "uwb-imu")):
         tables = dict(folder.tables) | {"ranges": ranges}
-        runs, refused = tracked_by([RecordingFolder(folder.name, None, folder.rig, tables)])
-        assert [*runs] == [expected]
-        assert refused == []
+        assert fitting(RecordingFolder(folder.name, None, folder.rig, tables)) == expected

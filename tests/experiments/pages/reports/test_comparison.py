@@ -4,7 +4,7 @@ import re
 import numpy as np
 import pytest
 
-from trackwright.experiments.cli.options import EvaluateOptions, PoseOptions
+from trackwright.experiments.cli.options import EvaluateOptions
 from trackwright.experiments.cli.track import evaluate_tracks
 from trackwright.experiments.lab.papers.reproduce import evidence, part, tables
 from trackwright.experiments.pages.reports.comparison import Run, comparison, read_runs
@@ -85,7 +85,7 @@ def test_evaluations_alone_are_compared_without_intervals_and_without_empty_colu
 
 def test_the_command_prints_both_and_writes_one_page(tmp_path, capsys):
     first, second = _study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12)
-    assert evaluate_tracks(first, second, options=EvaluateOptions(poses=PoseOptions(out=tmp_path / "page"))) == 0
+    assert evaluate_tracks(first, second, options=EvaluateOptions(out=tmp_path / "page")) == 0
     printed = capsys.readouterr().out
     assert "10.0 (9.0 … 11.0)" in printed
     assert "12.0 (11.0 … 13.0)" in printed
