@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -15,8 +14,7 @@ from trackwright.experiments.cli.options import Cluster, Figures, Out, file_form
 
 def study(
     what: Annotated[str, Parameter(name="STUDY")] = "", /, *, out: Out | None = None, runs: int | None = None,
-    seed: int | None = None, until: Annotated[str, Parameter(metavar="METRIC±WIDTH")] | None = None,
-    cluster: Cluster | None = None, figures: Figures = "page",
+    seed: int | None = None, cluster: Cluster | None = None, figures: Figures = "page",
 ) -> int:  # fmt: skip
     """Run a Monte Carlo study: worlds × trackers × a grid × runs.
 
@@ -28,14 +26,12 @@ def study(
         out: output folder; default: out/study-NAME.
         runs: trajectories per condition (a world at a grid point); default: the study's own number.
         seed: seed of the random numbers; default: the study's own.
-        until: stop a condition when the 95 % interval of a metric is this narrow, e.g. "rmse_m±1%", or after `runs`.
         cluster: run the chunks on a Dask cluster, tcp://HOST:8786, or in processes here, local:4 (docs/cluster.md).
         figures: page, report.html; png or pdf, also its charts as files; or none.
     """
     from trackwright.experiments.cli.console import keep_programs, running, write_manifest
     from trackwright.experiments.jobs.executors import cluster_executor
-    from trackwright.experiments.monte_carlo.declaration import checked
-    from trackwright.experiments.monte_carlo.runner import StopRule, run_study
+    from trackwright.experiments.monte_carlo.runner import run_study
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
     from trackwright.experiments.pages.reports import study as pages
     from trackwright.experiments.pages.reports.pages import write_page
@@ -48,14 +44,11 @@ def study(
         print(pages.study_names([load_study(name) for name in available_studies()]))
         return 0
     keep_programs()
-    declared = load_study(what)
-    numbers = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
-    declared = checked(dataclasses.replace(declared, **numbers))  # type: ignore[arg-type]
-    stop, folder = until and StopRule.parse(until, declared), out or Path("out") / f"study-{declared.name}"
-    total = len(declared.conditions) * declared.chunks
+    declared = load_study(what, runs, seed)
+    folder, total = out or Path("out") / f"study-{declared.name}", len(declared.conditions) * declared.chunks
     with running("study") as begin, cluster_executor(cluster) if cluster else nullcontext() as executor:
         notice(f"{declared.name}: {declared.about} {counted(total, 'chunk')} of {declared.chunk} trajectories")
-        results = run_study(declared, folder, stop or None, begin(declared.name, total), executor)
+        results = run_study(declared, folder, begin(declared.name, total), executor)
     expected = [] if declared.expected is None else [*declared.expected(results)]
     print(pages.to_text(results, expected), end="")
     write_whole(folder / "results.json", pages.to_json(results, expected))

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
-from trackwright.experiments.monte_carlo.tracked import TrackedChunk
+from trackwright.experiments.monte_carlo.tracked import TrackedRuns, scored, tracked_runs
+from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import tunables, with_values
 from trackwright.trackers.core.run.smoother import Smoothed
@@ -27,20 +28,18 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     results = []
     for name, config in study.trackers.items():
         batches = prepared[name]
-        tracked, seconds = _track(batches, ids, study, config)
-        arrays = tracked.scored()
-        if study.measures:
-            runs = tracked.runs(0, len(ids))
-            for measure, function in study.measures.items():
-                values = arrays[f"measure {measure}"] = np.asarray(function(runs), float)
-                if values.shape != ids.shape:
-                    found = f"measure '{measure}' returns shape {values.shape}; expected {ids.shape}"
-                    raise UnusableInput(f"study '{study.name}': {found}, one number for each trajectory")
+        runs, seconds = _track(batches, ids, study, config)
+        arrays = scored(runs)
+        for measure, function in study.measures.items():
+            values = arrays[f"measure {measure}"] = np.asarray(function(runs), float)
+            if values.shape != ids.shape:
+                found = f"measure '{measure}' returns shape {values.shape}; expected {ids.shape}"
+                raise UnusableInput(f"study '{study.name}': {found}, one number for each trajectory")
         if first:
             if "us_per_row" in study.metrics:
                 # A second run: the first one also compiled.
                 seconds = _track(batches, ids, study, config)[1]
-                arrays["us_per_row"] = np.array(1e6 * seconds / max(tracked.count, 1))
+                arrays["us_per_row"] = np.array(1e6 * seconds / max(np.sum(runs.status != Status.PADDING), 1))
             if any(metric.startswith("bound") for metric in study.metrics):
                 arrays["bounds"] = _bounds(folder, batches)
         results.append(arrays)
@@ -86,7 +85,7 @@ def _prepared(
 
 def _track(
     batches: list[TrackerBatch], ids: np.ndarray, study: Study, config: TrackerConfig
-) -> tuple[TrackedChunk, float]:
+) -> tuple[TrackedRuns, float]:
     """The estimates of all trajectories, and the computing time of the trackers, s."""
     tracked, seconds = [], 0.0
     for batch in batches:
@@ -100,7 +99,7 @@ def _track(
         began = time.perf_counter()
         tracked.append((trajectories, batch.tracker.run(whole, study.chunk)))
         seconds += time.perf_counter() - began
-    return TrackedChunk(ids, tracked, all(batch.planar for batch in batches), config.every), seconds
+    return tracked_runs(ids, tracked, all(batch.planar for batch in batches), config.every), seconds
 
 
 def _bounds(folder: RecordingFolder, batches: list[TrackerBatch]) -> np.ndarray:

@@ -70,7 +70,7 @@ def test_a_study_judges_truth_without_heights_as_evaluate_does(height):
     (arrays,) = run_chunk(study, study.conditions[0], np.array(["1"]), False)
     totals = Totals(1)
     totals.add(0, arrays)
-    results = Results(study, {(0, "mean"): totals}, {0: 1})
+    results = Results(study, {(0, "mean"): totals})
     evaluation = tw.evaluate(tw.build("moving-average", folder).run(folder), folder)
     assert arrays["sum n"].sum() == evaluation["n"] == ROWS
     assert results.at("rmse_m", study.conditions[0], "mean").value == pytest.approx(evaluation["rmse_m"], rel=1e-9)

@@ -57,7 +57,7 @@ def study_page(results: Results, expected: Sequence[Claim], command: Sequence[st
     sections = [
         *expected_sections(expected),
         Section("Charts", note=lead, parts=[group for group in study_charts(results) if group]),
-        metrics._replace(note=f"{metrics.note} {results.without_bound()}".rstrip()),
+        metrics,
         ratios_section(results),
         Section("Settings", parts=[settings]),
     ]
@@ -72,7 +72,7 @@ def to_text(results: Results, expected: Sequence[Claim]) -> str:
     """The main metrics of every condition and tracker, and the expected results beside ours."""
     reproduced = expected_sections(expected)
     said = headline_of(expected) if any(section.rows for section in reproduced) else ""
-    return sections_text([metrics_section(results), *reproduced], 160, results.without_bound(), said)
+    return sections_text([metrics_section(results), *reproduced], 160, said)
 
 
 def study_charts(results: Results) -> tuple[list[Chart], list[Chart]]:
@@ -208,8 +208,9 @@ def metrics_section(results: Results) -> Section:
         for c in study.conditions
         for t in study.trackers
     ]
-    runs = " to ".join(map(str, dict.fromkeys(f(results.runs.values()) for f in (min, max))))
-    note = f"{runs} trajectories per row, the same for all trackers. In brackets 95 % bootstrap intervals."
+    note = (
+        f"{results.study.runs} trajectories per row, the same for all trackers. In brackets 95 % bootstrap intervals."
+    )
     if any(metric.startswith("bound") for metric in study.metrics):
         note += " The bound is for the tracker's own noise levels, over the second half of the rows."
     head = ["world", "tracker", *(heading(metric, units[metric], "\u00a0") for metric in shown)]
@@ -280,7 +281,7 @@ def _cells(results: Results) -> Iterator[dict[str, Any]]:
     for c, tracker in ((c, tracker) for c in study.conditions for tracker in study.trackers):
         known = {n: v for n in names if (v := results.at(n, c, tracker)).value == v.value}
         compared = {n: results.compared(np.subtract, n, c, tracker, reference) for n in known if tracker != reference}
-        cell = {"world": c.world, "point": dict(c.point), "tracker": tracker, "runs": results.runs[c.index]}
+        cell = {"world": c.world, "point": dict(c.point), "tracker": tracker, "runs": results.study.runs}
         yield cell | {
             "figures": {n: v._asdict() for n, v in known.items()},
             f"less {reference}": {n: v._asdict() for n, v in compared.items() if v.value == v.value},
