@@ -31,7 +31,7 @@ from trackwright.experiments.text.evaluation_text import archive_text, to_json
 from trackwright.experiments.text.tables import terminal_width
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import fitting, run_file_of, spec_of
-from trackwright.trackers.core.errors import has_control, one_line
+from trackwright.trackers.core.errors import one_line
 from trackwright.trackers.core.user_file import split_name
 from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.events import EVENTS
@@ -44,8 +44,6 @@ from trackwright.trackers.recordings.tracks_table import EVALUATION, SOURCES, TR
 
 FINISHED, ROWS = "tracked.json", "rows.parquet"
 """The file written last for a recording, and its scored rows, which the metrics of all are taken from."""
-
-LISTED = 20  # the most refusals that are printed; the table of results has all
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class Archive(Store[Path, Result]):
         options, numbers = self.options, replace(self.options.numbers, tracker=None, noise=None)
         files = options.numbers.noise, options.used.calibration, split_name(self.name)[0]
         texts = [Path(file).read_text("utf-8") for file in files if file]
-        plain = settings(options, numbers=numbers, cluster=None, figures="page", json=False)
+        plain = settings(options, numbers=numbers, cluster=None, figures="page")
         return repr((plain, split_name(self.name)[1], texts, environment()))
 
     def folder(self, path: Path) -> Path:
@@ -118,19 +116,16 @@ class Archive(Store[Path, Result]):
 
 
 def _names_apart(paths: Sequence[Path]) -> dict[Path, str]:
-    """The names of the recordings; the paths of those that have a name which others have, too, or none."""
-    names = dict.fromkeys(paths, "")
+    """The names of the recordings; the paths of those that have none, or one that others have, too."""
+    names = {path: str(path) for path in paths}
     for path in paths:
         with suppress(tw.UnusableInput):
             names[path] = read_rig(path / RIG_FILE)[0].name
     counts = Counter([*names.values(), *map(str, paths)])
-    apart = {
-        path: name if name and counts[name] == 1 + (name == str(path)) else str(path) for path, name in names.items()
-    }
-    if renamed := [path for path in paths if names[path] not in ("", apart[path])]:
-        notice(
-            f"notice: {counted(len(renamed), 'recording')}, as {renamed[0]}, named by paths: others have their names"
-        )
+    apart = {path: name if counts[name] == 1 else str(path) for path, name in names.items()}
+    if renamed := [path for path in paths if names[path] != apart[path]]:
+        count = counted(len(renamed), "recording")
+        notice(f"notice: {count}, as {renamed[0]}, named by paths: others have their names")
     return apart
 
 
@@ -138,8 +133,6 @@ def _refusal(path: Path, error: Exception) -> str:
     """What stands for a recording that could not be used: a line that names it, so that the others go on."""
     if isinstance(error, tw.UnusableInput):
         return str(error) if one_line(path) in str(error) else f"{path}: {error}"
-    if type(error).__name__ == "KilledWorker":
-        return f"{path}: its workers ended while they computed it; expected enough memory for one recording a worker"
     return f"{path}: cannot be used ({type(error).__name__}: {one_line(error) or 'no message'})"
 
 
@@ -153,17 +146,14 @@ def _readable(paths: Sequence[Path]) -> tw.RecordingFolder:
     raise tw.UnusableInput(f"{paths[0]} and {len(paths) - 1} more: no tracker fits any; see `trackwright check`")
 
 
-def track_archive(paths: Sequence[Path], options: TrackOptions, begin: Begin) -> tuple[int, tw.Evaluation]:
-    """Tracks the recordings that are not finished, and writes the tables of all; the exit code, and the metrics."""
+def track_archive(paths: Sequence[Path], options: TrackOptions, begin: Begin) -> int:
+    """Tracks the recordings that are not finished, and writes the tables of all; the exit code."""
     numbers, found = options.numbers, dict[Path, Result]()
     name = chosen_tracker([] if numbers.named else [_readable(paths)], numbers)
     spec_of(name)
     options.used.read_calibration()
-    out, archive, advance = (
-        output_folder(options.out),
-        Archive(options, name, _names_apart(paths)),
-        begin("tracking", len(paths)),
-    )
+    archive, out = Archive(options, name, _names_apart(paths)), output_folder(options.out)
+    advance = begin("tracking", len(paths))
 
     def each(path: Path, result: Result) -> None:
         found[path] = result
@@ -190,13 +180,10 @@ def track_archive(paths: Sequence[Path], options: TrackOptions, begin: Begin) ->
     if evaluation.overall["n"]:
         print(archive_text(evaluation, terminal_width()), end="")
     runs.conclude(evaluation, name, len(rows), options, [RESULTS])
-    if noticed := sum(bool(x.notices) for _, x in done):
-        notice(f"notice: {counted(noticed, 'recording')} with notices: column 'notices' of {out / RESULTS}")
-    if refused:
-        notice(f"not tracked: {len(refused)} of {counted(len(paths), 'recording')}: column 'refused' of {RESULTS}")
-    for _, line in refused[:LISTED]:
+    notice(f"{len(refused)} of {counted(len(paths), 'recording')} not tracked; notices: see {out / RESULTS}")
+    for _, line in refused:
         notice(f"not tracked: {line}")
-    return LEFT_OUT if refused else 0, evaluation
+    return LEFT_OUT if refused else 0
 
 
 def _results(
@@ -208,8 +195,6 @@ def _results(
         endings = "; ".join(f"{words} {n}" for words, n in found.endings.items())
         ends = {"tracks": sum(found.endings.values()), "endings": endings, "notices": "; ".join(found.notices)}
         rows[path] = {**own, **ends, "refused": None}
-    # A name that no line can hold is shown; no command looks for it.
-    paths = {path: str(path.resolve()) for path in sorted(rows)}
-    lines = [{"path": one_line(x) if has_control(x) else x} | rows[path] for path, x in paths.items()]
+    lines = [{"path": one_line(path.resolve())} | rows[path] for path in sorted(rows)]
     table, last = pl.DataFrame(lines, infer_schema_length=None), ("notices", "refused")
     return table.select("recording", "path", pl.exclude("recording", "path", *last), *last)

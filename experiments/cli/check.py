@@ -1,20 +1,22 @@
-"""`trackwright check`, `calibrate` and `survey`: data quality, systematic errors, places of anchors."""
+"""`trackwright check`, `calibrate`, `survey` and `trackers`: data, systematic errors, anchors, what can be run."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict, replace
+import textwrap
+from dataclasses import replace
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from trackwright.experiments.cli.options import File, Name, Recording
+from trackwright.trackers.catalogue import ENTRIES, run_file_of
 from trackwright.trackers.core.errors import printable
 
 Names = Annotated[str, Parameter(metavar="A1,A2,…")]
 
 
-def check(*recordings: Recording, tracker: Name | None = None, json: bool = False) -> int:
+def check(*recordings: Recording, tracker: Name | None = None) -> int:
     """Check the data: time base, gaps, outliers, ids, units, geometry.
 
     Truth is checked too, if there is any.
@@ -24,25 +26,18 @@ def check(*recordings: Recording, tracker: Name | None = None, json: bool = Fals
     Args:
         recordings: recording folders (rig.toml and tables), or folders of these.
         tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
-        json: print JSON instead of lines: by folder, the results with level, where and message.
     """
-    from trackwright.trackers.catalogue import run_file_of
     from trackwright.trackers.recordings.archives import recordings_under
-    from trackwright.trackers.recordings.atomic import json_text
     from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
     from trackwright.trackers.recordings.folder import read_recording
 
     run_file_of(tracker)
-    failed, by_folder = False, {}
+    failed = False
     for path in (path for given in recordings for path in recordings_under(given)):
         results = check_recording(read_recording(path))
         failed |= any(result.level == "error" for result in results)
-        by_folder[str(path)] = [asdict(result) for result in results]
-        if not json:
-            print(f"{printable(path)}\n{format_results(results)}")
-    if json:
-        print(json_text(by_folder), end="")
+        print(f"{printable(path)}\n{format_results(results)}")
     return int(failed)
 
 
@@ -60,11 +55,12 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False)
     from trackwright.trackers.recordings.archives import require_new
 
     require_new(out, "calibration.toml", force)
-    from trackwright.experiments.cli.console import notices, output_folder, running
+    from trackwright.experiments.cli.console import notices, output_folder
+    from trackwright.experiments.text.terminal import stages
     from trackwright.trackers.recordings.checks.all_checks import require_sound
     from trackwright.trackers.recordings.folder import read_recordings
 
-    with running("calibrate"):
+    with stages("calibrate"):
         folders = read_recordings(recordings)
         for folder in folders:
             notices([*require_sound(folder, force, True), *folder.notices])
@@ -104,7 +100,8 @@ def survey(
     from trackwright.trackers.recordings.archives import require_new
 
     require_new(out, "rig.toml", force)
-    from trackwright.experiments.cli.console import notices, running
+    from trackwright.experiments.cli.console import notices
+    from trackwright.experiments.text.terminal import stages
     from trackwright.trackers.recordings.checks.all_checks import require_sound
     from trackwright.trackers.recordings.folder import read_recording, refuse_repeated
 
@@ -120,11 +117,23 @@ def survey(
     from trackwright.trackers.recordings.rig_file import rig_text
     from trackwright.tuning.survey.surveying import survey as survey_walks
 
-    with running("survey") as begin:
+    with stages("survey") as begin:
         begin("fitting positions and paths")
         result = survey_walks(folders, given or (), sigma, frame or (), height)
         notices(result.notes)
         write_whole(out, rig_text(result.rig))
         page = write_survey_page(out, result, sys.argv)
         print(f"{result}\nwrote {out} and {page.name}")
+    return 0
+
+
+def trackers() -> int:
+    """List the trackers and the tables they read.
+
+    The first that fits the tables of a recording is chosen where none is named. A tracker of your own is a Python file:
+    --tracker FILE.py:NAME. Its tunables, for --set, --tune, --bound and --over: `tw.tunables(tracker)` in Python.
+    """
+    for name, entry in ENTRIES.items():
+        about = f"{name:<26} {entry.about} ({entry.table})"
+        print(textwrap.fill(about, 80, subsequent_indent=" " * 27, break_on_hyphens=False))
     return 0

@@ -8,12 +8,13 @@ last counts, lists are joined.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from cyclopts import App, CoercionError, CycloptsError, Parameter, Token, convert
 
+from trackwright import __version__
 from trackwright.trackers.core.errors import UnusableInput
 
 ABOUT = "Trackers for wireless indoor positioning: how accurate, with which noise levels?"
@@ -28,7 +29,7 @@ COMMANDS = {
     "export": "cli.exchange:export",
     "tune": "cli.track:tune",
     "sweep": "cli.track:sweep",
-    "trackers": "cli.trackers:trackers",
+    "trackers": "cli.check:trackers",
     "simulate": "cli.simulate:simulate",
     "study": "cli.study:study",
     "demo": "lab.demo:demo",
@@ -38,19 +39,13 @@ COMMANDS = {
 
 def application() -> App:
     """The program with its commands, each imported when it is used."""
-    app = new_app("trackwright", ABOUT, _version)
+    app = new_app("trackwright", ABOUT, f"trackwright {__version__}")
     for name, place in COMMANDS.items():
         app.command(f"trackwright.experiments.{place}", name=name, sort_key=len(app._commands))
     return app
 
 
-def _version() -> str:
-    from trackwright import __version__
-
-    return f"trackwright {__version__}"
-
-
-def new_app(name: str, about: str | None = None, version: Callable[[], str] | None = None) -> App:
+def new_app(name: str, about: str | None = None, version: str | None = None) -> App:
     """A program, or a family of commands, whose errors are left to the caller."""
     return App(
         name=name,

@@ -24,8 +24,6 @@ from trackwright.trackers.recordings.atomic import json_text, write_whole
 from trackwright.trackers.recordings.folder import read_recordings
 from trackwright.trackers.recordings.tracks_table import EVALUATION, read_tracks, require_sources
 
-COMPARISON = "comparison.html"  # the page that compares runs
-
 
 def evaluate_run(run: Path, options: EvaluateOptions) -> int:
     """Evaluates an output folder of `track`, prints the errors and writes evaluation.json.
@@ -56,25 +54,18 @@ def code_of(evaluation: Evaluation, fail_if: str | None) -> int:
     return int(why is not None)
 
 
-def print_comparison(folders: Sequence[Path], out: Path | None, json: bool) -> None:
+def print_comparison(folders: Sequence[Path], out: Path | None) -> None:
     """Prints the comparison of the runs in these folders, and writes its page into the folder `out`."""
     # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
     from trackwright.experiments.pages.reports import comparison as pages
 
     runs, lines = pages.read_runs(folders)
-    tables, contrasts = pages.comparison(runs)
+    tables, _ = pages.comparison(runs)
     notices([*lines, *pages.lone_subjects(runs)])
-    if json:
-        differences = [contrast._asdict() | {"difference": contrast.difference._asdict()} for contrast in contrasts]
-        shown = [dict(zip(table._fields[:-1], table[:-1], strict=True)) for table in tables]
-        print(json_text({"tables": shown, "contrasts": differences}), end="")
-    else:
-        print(sections_text(tables, pages.WIDTH), end="")
+    print(sections_text(tables, pages.WIDTH), end="")
     if out is not None:
-        names, charts = [run.name for run in runs], pages.comparison_charts(runs)
-        path = pages.write_comparison(output_folder(out) / COMPARISON, names, tables, charts, sys.argv)
-        if not json:
-            print(f"wrote {path}")
+        names, charts, page = [run.name for run in runs], pages.comparison_charts(runs), "comparison.html"
+        print(f"wrote {pages.write_comparison(output_folder(out) / page, names, tables, charts, sys.argv)}")
 
 
 def evaluate_poses(source: Path, options: EvaluateOptions) -> int:

@@ -46,12 +46,10 @@ def main() -> None:
 
 
 def _settle() -> None:
-    """Collect garbage less often, let polars give memory back, keep alarms of XLA off the terminal."""
+    """Collect garbage less often, and keep alarms of XLA off the terminal."""
     gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
     # What lives to the end needs no last collection, which took 0.6 s after jax was used.
     atexit.register(gc.freeze)
-    # The allocator of polars, which is to give memory back while jax is imported.
-    os.environ.setdefault("_RJEM_MALLOC_CONF", "dirty_decay_ms:100,muzzy_decay_ms:0")
     # XLA reports a slow compilation as an error; those that fail reach us as exceptions.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     for stream in (sys.stdout, sys.stderr):

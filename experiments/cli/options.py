@@ -60,7 +60,6 @@ Name = Annotated[str, Parameter(metavar="NAME")]
 Cluster = Annotated[str, Parameter(metavar="ADDRESS")]
 Least1 = Annotated[int, Parameter(validator=_number(1))]
 Figures = Annotated[Literal["none", "page", "png", "pdf"], Parameter(group=OUTPUT)]
-Json = Annotated[bool, Parameter(group=OUTPUT)]
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 """As `trackers.exchange.pose_errors.Alignment`, which takes longer to import."""
@@ -187,7 +186,6 @@ class TrackOptions:
         cluster: track one by one on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
         figures: page, report.html with playback and linked charts; png or pdf, also the charts as files; or none.
         force: track recordings in spite of the errors that `trackwright check` finds.
-        json: print the error metrics as JSON instead of tables.
     """
 
     out: Out
@@ -200,7 +198,6 @@ class TrackOptions:
     cluster: Annotated[Cluster, RARE] | None = None
     figures: Figures = "page"
     force: Annotated[bool, RUN] = False
-    json: Json = False
 
 
 @Parameter(name="*")
@@ -217,7 +214,6 @@ class TuneOptions:
         bound: physical bounds of tuned numbers.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
         prior: of nll and state-nll: sites, the spread between sites about the values before the fit; or flat.
-        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too; default: by the truth.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         steps: maximum number of steps per start.
         resume: continue from the checkpoint in --out, with bit-identical results.
@@ -233,7 +229,6 @@ class TuneOptions:
     bound: tuple[Annotated[str, Parameter(metavar="PATTERN=LOW:HIGH")], ...] = ()
     held_out: Annotated[tuple[Folder, ...], Parameter(group=INPUT)] = ()
     prior: Annotated[Literal["sites", "flat"], RARE] = "sites"
-    dimensions: Annotated[Literal[2, 3], RARE] | None = None
     starts: Annotated[Least1, RARE] = 4
     steps: Annotated[Least1, RARE] = 60
     resume: Annotated[bool, RUN] = False
@@ -251,7 +246,7 @@ class EvaluateOptions:
         time_offset: added to the times of the estimates; auto: the one that fits best.
         time_tolerance: largest distance in time between a pose and its true pose.
         rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
-        json: print all metrics as JSON instead of a table.
+        json: print all metrics of a run as JSON instead of a table.
         fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
         out: a folder for the page that compares several runs.
     """
@@ -262,7 +257,7 @@ class EvaluateOptions:
     time_offset: Annotated[Literal["auto"] | float, Parameter(metavar="S|auto")] = 0.0
     time_tolerance: Annotated[Seconds, RARE] = 0.01
     rpe: tuple[Annotated[str, Parameter(metavar="STEP")], ...] = ()
-    json: Json = False
+    json: Annotated[bool, Parameter(group=OUTPUT)] = False
     fail_if: Annotated[str, Parameter(metavar="CONDITION", group=OUTPUT)] | None = None
     out: Out | None = None
 
@@ -275,8 +270,3 @@ class EvaluateOptions:
 def settings(options: TrackOptions | TuneOptions, **without: Any) -> str:
     """The options as text, for digests of what results depend on; `without`: defaults of those that do not."""
     return repr(replace(options, out=Path(), **without))
-
-
-def file_format(figures: str) -> Any:
-    """The kind of the figures in files, png or pdf, None for none."""
-    return figures if figures in ("png", "pdf") else None

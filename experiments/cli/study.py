@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import Cluster, Figures, Out, file_format
+from trackwright.experiments.cli.options import Cluster, Figures, Out
 
 
 def study(
@@ -29,15 +29,14 @@ def study(
         cluster: run the chunks on a Dask cluster, tcp://HOST:8786, or in processes here, local:4 (docs/cluster.md).
         figures: page, report.html; png or pdf, also its charts as files; or none.
     """
-    from trackwright.experiments.cli.console import keep_programs, running, write_manifest
+    from trackwright.experiments.cli.console import keep_programs, write_manifest
     from trackwright.experiments.jobs.executors import cluster_executor
     from trackwright.experiments.monte_carlo.runner import run_study
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
     from trackwright.experiments.pages.reports import study as pages
     from trackwright.experiments.pages.reports.pages import write_page
-    from trackwright.experiments.text.terminal import notice
+    from trackwright.experiments.text.terminal import stages
     from trackwright.experiments.text.wording import figures_drawn
-    from trackwright.trackers.core.wording import counted
     from trackwright.trackers.recordings.atomic import write_whole
 
     if not what:
@@ -46,19 +45,18 @@ def study(
     keep_programs()
     declared = load_study(what, runs, seed)
     folder, total = out or Path("out") / f"study-{declared.name}", len(declared.conditions) * declared.chunks
-    with running("study") as begin, cluster_executor(cluster) if cluster else nullcontext() as executor:
-        notice(f"{declared.name}: {declared.about} {counted(total, 'chunk')} of {declared.chunk} trajectories")
+    with stages("study") as begin, cluster_executor(cluster) if cluster else nullcontext() as executor:
         results = run_study(declared, folder, begin(declared.name, total), executor)
     expected = [] if declared.expected is None else [*declared.expected(results)]
     print(pages.to_text(results, expected), end="")
     write_whole(folder / "results.json", pages.to_json(results, expected))
     written = ["results.json", "manifest.json"]
-    if kind := file_format(figures):
+    if figures == "png" or figures == "pdf":
         # matplotlib takes a third of a second to import.
         from trackwright.experiments.pages.charts.drawing import write_charts
 
         charts = [chart for group in pages.study_charts(results) for chart in group]
-        written.append(figures_drawn(write_charts(folder, charts, kind)))
+        written.append(figures_drawn(write_charts(folder, charts, figures)))
     if figures != "none":
         page = pages.study_page(results, expected, sys.argv)
         written.insert(0, write_page(folder / pages.REPORT, page).name)

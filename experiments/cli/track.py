@@ -29,11 +29,12 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
     Args:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
     """
-    from trackwright.experiments.cli.console import keep_programs, prepared, running
+    from trackwright.experiments.cli.console import keep_programs, prepared
+    from trackwright.experiments.text.terminal import stages
     from trackwright.trackers.recordings.archives import archive_of
 
     options.numbers.read()
-    with running("track", options.json) as begin:
+    with stages("track") as begin:
         begin("reading")
         refused = list[str]()
         archive = archive_of(recordings, options.cluster is not None)
@@ -44,16 +45,10 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
         if archive:
             from trackwright.experiments.cli.archive import track_archive
 
-            code, evaluation = track_archive(archive, options, begin)
-        else:
-            from trackwright.experiments.cli.tracking import track_together
+            return track_archive(archive, options, begin)
+        from trackwright.experiments.cli.tracking import track_together
 
-            code, evaluation = track_together(folders, refused, options, begin)
-    if options.json:
-        from trackwright.experiments.text.evaluation_text import to_json
-
-        print(to_json(evaluation), end="")
-    return code
+        return track_together(folders, refused, options, begin)
 
 
 DEFAULTS, NUMBERS, READINGS = EvaluateOptions(), Numbers(), Readings()
@@ -65,7 +60,7 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
     By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, KITTI, EuRoC, or a table
     with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
 
-    Of several runs: their metrics side by side, and each one's differences from the first, with --json and --out alone.
+    Of several runs: their metrics side by side, and each one's differences from the first, with --out alone.
 
     Args:
         runs: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
@@ -75,9 +70,9 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
 
     run, truth = runs[0], options.truth
     if len(runs) > 1:
-        if options != EvaluateOptions(json=options.json, out=options.out):
-            raise UnusableInput(f"evaluate: {len(runs)} runs to compare; expected no option but --json and --out")
-        print_comparison(runs, options.out, json=options.json)
+        if options != EvaluateOptions(out=options.out):
+            raise UnusableInput(f"evaluate: {len(runs)} runs to compare; expected no option but --out")
+        print_comparison(runs, options.out)
         return 0
     if options.out is not None:
         raise UnusableInput("evaluate: --out is the folder for a comparison; expected two runs or more; leave it out")
@@ -96,10 +91,11 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
     Args:
         recordings: recording folders to fit to, all at once.
     """
-    from trackwright.experiments.cli.console import keep_programs, prepared, running
+    from trackwright.experiments.cli.console import keep_programs, prepared
+    from trackwright.experiments.text.terminal import stages
 
     options.numbers.read()
-    with running("tune") as begin:
+    with stages("tune") as begin:
         begin("reading")
         folders = prepared((*recordings, *options.held_out), options.used)
         begin("preparing")
@@ -125,12 +121,13 @@ def sweep(
         over: a shell pattern of tunables, tied, and their values; once or twice. ':log' makes equal ratios.
         objective: rmse (horizontal; needs truth), nll, or another objective of `tune`.
     """
-    from trackwright.experiments.cli.console import keep_programs, prepared, running
+    from trackwright.experiments.cli.console import keep_programs, prepared
+    from trackwright.experiments.text.terminal import stages
     from trackwright.tuning.tuned_file import parse_grids
 
     numbers.read()
     grids = parse_grids(over, "--over")
-    with running("sweep") as begin:
+    with stages("sweep") as begin:
         begin("reading")
         folders = prepared(recordings, used)
         begin("preparing")

@@ -8,7 +8,7 @@ from contextlib import suppress
 
 import trackwright as tw
 from trackwright.experiments.cli.console import LEFT_OUT, chosen_tracker, notices, write_manifest
-from trackwright.experiments.cli.options import TrackOptions, file_format
+from trackwright.experiments.cli.options import TrackOptions
 from trackwright.experiments.pages.reports.pages import typed
 from trackwright.experiments.pages.reports.track import PAGE, run_data, write_track_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
@@ -55,15 +55,15 @@ def tracked(
 
 def track_together(
     folders: Sequence[tw.RecordingFolder], refused: list[str], options: TrackOptions, begin: Begin
-) -> tuple[int, tw.Evaluation]:
-    """Tracks the recordings that the tracker fits, writes all files and prints the metrics; exit code, and metrics."""
+) -> int:
+    """Tracks the recordings that the tracker fits, writes all files and prints the metrics; the exit code."""
     name, out = chosen_tracker(folders, options.numbers), options.out
-    unfit = [line for folder in folders if (line := spec_of(name).refusal(folder, name))]
-    if len(unfit) == len(folders):
+    lacking = [(folder, spec_of(name).refusal(folder, name)) for folder in folders]
+    fit, unfit = [folder for folder, line in lacking if not line], [line for _, line in lacking if line]
+    if not fit:
         raise tw.UnusableInput(unfit[0])
     with suppress(OSError):
         (out / RESULTS).unlink(missing_ok=True)  # left by an earlier archive
-    fit = [folder for folder in folders if spec_of(name).refusal(folder, name) is None]
     run, lines = tracked(name, fit, options, begin)
     notices(lines)
     for file, rows in files_of(run).items():
@@ -79,18 +79,16 @@ def track_together(
         page = run_data(scored, run.events, known, f"{name}: {run.named.spec.about}", name)
         write_track_page(out / PAGE, [page], typed(sys.argv))
         written.append(PAGE)
-    if kind := file_format(options.figures):
+    if options.figures == "png" or options.figures == "pdf":
         # matplotlib takes a third of a second to import.
         from trackwright.experiments.pages.charts.recording import plot_tracks
 
         begin("figures")
-        written.append(figures_drawn(plot_tracks(out, scored, kind)))
-    for event, count in run.events.group_by("event", maintain_order=True).len().iter_rows():
-        print(f"event: {event} ({counted(count, 'time')})")
+        written.append(figures_drawn(plot_tracks(out, scored, options.figures)))
     conclude(evaluation, name, len(run.rows), options, written)
     for line in (*refused, *unfit):
         notice(f"not tracked: {line}")
-    return LEFT_OUT if refused or unfit else 0, evaluation
+    return LEFT_OUT if refused or unfit else 0
 
 
 def words_of(endings: Mapping[str, int]) -> str:

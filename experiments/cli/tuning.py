@@ -19,7 +19,7 @@ from trackwright.experiments.pages.charts.tuning import sweep_plot
 from trackwright.experiments.pages.reports import before_after as changes
 from trackwright.experiments.pages.reports import tuning as pages
 from trackwright.experiments.pages.reports.pages import typed, write_page
-from trackwright.experiments.text.tables import aligned
+from trackwright.experiments.text.tables import sections_text
 from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import listed
@@ -31,7 +31,7 @@ from trackwright.tuning import parameters as numbers
 from trackwright.tuning.data import FitData, fit_data
 from trackwright.tuning.fitting import Place
 from trackwright.tuning.identifiability import cautions, identifiability_issues
-from trackwright.tuning.intervals import Interval, intervals_of, without_intervals
+from trackwright.tuning.intervals import intervals_of, without_intervals
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.problem import is_stochastic
 from trackwright.tuning.sweeping import grid_vectors, swept_parameters
@@ -46,7 +46,7 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
     started, named = monotonic(), options.numbers.build(chosen_tracker(folders, options.numbers), [*folders])
     training, held_out = folders[:count], folders[count:]
     notices(mirror_cautions(named, folders))
-    data = fit_data(named.only_batch(folders), options.objective, held_out, dimensions=options.dimensions)
+    data = fit_data(named.only_batch(folders), options.objective, held_out)
     result = _fit(data, options, begin)
     begin("leaving out recordings")
     shown = held_out or training
@@ -66,16 +66,14 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
     trace = {objective: values.objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
     trace |= dict(zip(components, values.values.T, strict=True))
     atomic_write(out / "trace.csv", pl.DataFrame(trace).write_csv)
-    written = ["trace.csv", "manifest.json"]
     issues, lines = [], without_intervals(result.uncertainty, intervals)
     if result.uncertainty is not None:
         issues = identifiability_issues(result.uncertainty, result.evaluation.term_gradients, bool(held_out))
         lines = [*result.cautions, *lines]
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
-    use += "" if used.calibration is None else f" --calibration {used.calibration}"
+    use += f" --calibration {used.calibration}" * (used.calibration is not None)
     use += "" if used.average is None else f" --average {used.average:g}"
     if options.figures != "none":
-        written.insert(0, "report.html")
         more = training[: max(changes.MOST_PLANS - len(shown), 0)] if held_out else []
         sides = [before, *([changes.tracked(named, more)] if more else [])]
         after = changes.tracked(with_fitted(named, result), [*shown, *more])
@@ -91,11 +89,13 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
         write_page(out / "report.html", pages.tuning_page(known))
     paths = [str(folder.path) for folder in training]
     write_manifest(out, tracker=named.name, recordings=paths, filter_runs=result.filter_runs)
-    print(_table(result, objective, intervals))
+    print(sections_text([pages.parameters_section(pages.tuned_parameters(result, intervals, issues))], 120), end="")
+    print(f"{objective}: {result.start_value:.5g} -> {result.value:.5g}")
     for text in (*(issue.text for issue in issues), *lines):
         print(f"notice: {text}")
     print(compared.text(), end="")
-    print(f"wrote {out / 'tuned.toml'}, {', '.join(written)}; use it: {use}")
+    page = ", report.html" * (options.figures != "none")
+    print(f"wrote {out / 'tuned.toml'}{page}, trace.csv, manifest.json; use it: {use}")
     if result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
         return INTERRUPTED
@@ -105,8 +105,7 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
 def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
     """The fit, with a checkpoint after every step."""
     if options.objective is None:
-        why = "truth" if data.objective.needs_truth else "no truth that the estimates can be judged by"
-        notice(f"objective: {data.named}, since there is {why}; choose another with --objective")
+        notice(f"objective: {data.named}, by the truth there is; choose another with --objective")
     if data.unused:
         notice(f"notice: without truth, and not used: {listed(data.unused)}")
     tune = options.tune or numbers.tuned_by_default(data.tracker, data.objective.needs_truth)
@@ -130,15 +129,6 @@ def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
     return kept_fit(data, tune, how, place, out, depends, options.resume, say)
 
 
-def _table(result: tw.FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:
-    """A table of the tuned parameters, and a line on the objective before and after."""
-    rows = [("tunable", "before", "after", "95 % interval", "unit")]
-    for p in pages.tuned_parameters(result, intervals):
-        interval = f"{p.low:.4g} to {p.high:.4g}" if np.isfinite(p.low) else "-"
-        rows.append((p.name, f"{p.before:.4g}", f"{p.after:.4g}", interval, "" if p.unit == "1" else p.unit))
-    return f"{aligned(rows)}\n{objective}: {result.start_value:.5g} -> {result.value:.5g}"
-
-
 def sweep_folders(
     folders: Sequence[tw.RecordingFolder], grids: Mapping[str, np.ndarray], objective: str, numbers: Numbers, out: Path,
     begin: Begin,
@@ -150,8 +140,7 @@ def sweep_folders(
     try:
         points = grid_vectors(swept_parameters(group.tracker, list(grids)), list(grids.values()))
     except ValueError as error:
-        hint = "; start the grid at a small positive value" if "is positive" in str(error) else ""
-        raise tw.UnusableInput(f"--over {' --over '.join(grids)}: {error}{hint}") from error
+        raise tw.UnusableInput(f"--over {' --over '.join(grids)}: {error}") from error
     output_folder(out)
     advance = begin("grid point", len(points) * (REPEATS if is_stochastic(group.tracker) else 1))
     swept = tw.sweep(group.tracker, data.batches(), data.objective, grids, REPEATS, advance, data.weights())

@@ -121,7 +121,7 @@ def _sections(data: TuningReportData) -> Iterator[Section]:
         "Effort": f"{data.filter_runs:,} filter runs in {duration(data.seconds)}".replace(",", "\u202f"),
     }
     yield Section("Settings", parts=[settings, *data.notes])
-    yield _parameters_section(data.parameters)
+    yield parameters_section(data.parameters)
     if data.compared is not None:
         yield data.compared.section
     lead = "Circle: start, square: end. The 95 % ellipses before and after are of the same times."
@@ -142,7 +142,8 @@ def _sections(data: TuningReportData) -> Iterator[Section]:
         yield Section("Errors against truth", note=on, parts=[pooled, f"Over time{few}:", over_time])
 
 
-def _parameters_section(parameters: Sequence[TunedParameter]) -> Section:
+def parameters_section(parameters: Sequence[TunedParameter]) -> Section:
+    """The table of the numbers that a fit tuned."""
     lead = "No intervals: they require a likelihood or at least twenty trajectories, and a fit that converged."
     if any(p.determined is not None for p in parameters):
         lead = "Recordings say little on a parameter that is not determined, or whose interval spans a factor of ten."

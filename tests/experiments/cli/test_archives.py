@@ -97,7 +97,7 @@ def test_a_broken_folder_costs_its_own_line_and_never_the_rest(archive, whole):
     named = [*BROKEN, FAILING]
     assert refused["path"].to_list() == [str(archive / f"day-{k // 10}" / f"walk-{k:02d}") for k in named]
     listed = [line for line in done.err.splitlines() if line.startswith("not tracked: ")]
-    assert listed.pop(0).startswith(f"not tracked: 4 of {COUNT} recordings")
+    assert f"4 of {COUNT} recordings not tracked; notices: see {out / 'results.csv'}" in done.err
     assert listed == [f"not tracked: {line}" for line in refused["refused"]]
     for line, word in zip(listed, ("rig.toml", "rig.toml", "fixes.parquet", "MemoryError"), strict=True):
         assert word in line
@@ -254,6 +254,6 @@ def test_a_cluster_computes_the_same_bits_and_a_recording_that_ends_workers_cost
     on = ("--cluster", "tcp://elsewhere:8786")
     done = trackwright("track", tmp_path / "archive", *options, "--out", tmp_path / "there", *on)
     assert done.code == 3
-    assert "walk-01: its workers ended" in done.err
+    assert "walk-01: cannot be used (KilledWorker" in done.err
     here, there = (pl.read_parquet(tmp_path / name / "tracks.parquet") for name in ("here", "there"))
     assert there.equals(here.filter(pl.col("recording") != "walk-01"))

@@ -195,8 +195,9 @@ def test_smoothed_tracks_have_the_rows_columns_and_likelihoods_of_filtered_ones(
 def test_runs_are_compared_in_one_table_with_paired_differences(tmp_path):
     write_good(tmp_path / "good")
     for name in ("moving-average", "median"):
-        options = ("--tracker", name, "--json", *PLAIN, "--out", tmp_path / name)
-        found = json.loads(trackwright("track", tmp_path / "good", *options).out)
+        options = ("--tracker", name, *PLAIN, "--out", tmp_path / name)
+        assert trackwright("track", tmp_path / "good", *options).code == 0
+        found = json.loads((tmp_path / name / "evaluation.json").read_text())
         both = (
             _tracks(tmp_path / name).drop_nulls("x_m").join(good_tables()["truth"], on=["tag", "t_s"], suffix="_true")
         )

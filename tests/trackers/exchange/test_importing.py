@@ -51,7 +51,6 @@ def test_ranges_to_anchors_without_positions_are_imported_for_a_survey_where_the
     (there / "site.toml").write_text("format = 1\n\n[tags.T1]\nheight_m = 0.5\n")
     said = trackwright("import", "log.csv", *CSV, "--rig", "site.toml", "--out", "site")
     assert said.code == 0, said.err
-    assert said.out.endswith("next: trackwright survey site --out SITE/rig.toml\n")
     assert read_recording(there / "site", placed=False).rig.tags["T1"].height == 0.5
     assert_refused_last(trackwright("track", "site", "--out", "tracks"), "find them by `trackwright survey`")
 
@@ -226,19 +225,3 @@ def test_the_truth_of_another_walk_fits_no_readings(foreign):
 def test_a_truth_that_cannot_be_brought_over_is_refused(foreign, arguments, words):
     assert_refused_last(trackwright(*TRUTH, *arguments), *words)
     assert not Path("hall/truth.parquet").exists()
-
-
-def test_a_truth_along_the_path_of_the_rig_is_fitted_to_the_fixes(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert trackwright("simulate", "line", "--n", 1, "--out", "line").code == 0
-    known = pl.read_parquet("line/truth.parquet")
-    Path("line/truth.parquet").unlink()
-    said = trackwright("import", "line", "--path", "--out", "fitted")
-    assert said.code == 0, said.err
-    assert "m RMS about the path; segments" in said.out
-    found = known.join(pl.read_parquet("fitted/truth.parquet"), on=["tag", "t_s"])
-    assert len(found) > 0.9 * len(known)
-    assert ((found["x_m"] - found["x_m_right"]) ** 2).mean() ** 0.5 < 0.5
-    assert_refused_last(
-        trackwright("import", "line", "--path", "--tag", "T1", "--out", "other"), "--path", "no other option but --out"
-    )

@@ -119,7 +119,7 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
     ):
         with pytest.raises(UnusableInput, match=says):
             evaluate_tracks(*runs)
-    with pytest.raises(UnusableInput, match="2 runs to compare; expected no option but --json and --out"):
+    with pytest.raises(UnusableInput, match="2 runs to compare; expected no option but --out"):
         evaluate_tracks(study, other, options=EvaluateOptions(fail_if="rmse_m>1"))
 
 
