@@ -181,9 +181,6 @@ def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_l
     done = trackwright("check", "hall", *OWN)
     assert (done.code, "against truth: path bias" in done.out) == (0, True)
     _as_in_a_new_process()
-    done = trackwright("trackers", "bistatic.py:TRACKER", "hall")
-    assert (done.code, "sensors.bistatic.sigma_p" in done.out, done.err) == (0, True, "")
-    _as_in_a_new_process()
     done = trackwright("track", "hall", *OWN, "--out", "out")
     assert done.code == 0, done.err
     assert "path" in Path("out/report.html").read_text("utf-8")
@@ -202,7 +199,6 @@ def test_a_kind_of_ones_own_is_imported_by_a_format_that_imports_its_file(hall):
     own = ("--format", "bistatic_log.py:read", "--tag", "T1", "--rig", "hall/rig.toml", "--out", "imported")
     done = trackwright("import", "bistatic.log", *own)
     assert done.code == 0, done.err
-    assert done.out.endswith("; next: trackwright check imported --tracker FILE.py:NAME\n")
     assert tw.read("imported").tables["bistatic"]["path_m"].to_list() == [1.5, -0.5]
 
 

@@ -239,49 +239,10 @@ def fitting(folder: RecordingFolder) -> str:
     )
 
 
-def run_files(trackers: str | None) -> None:
-    """Runs the users' files among trackers with commas: they may add the kinds of the recordings' tables."""
-    for name in (trackers or "").split(","):
-        if Path(split_name(name)[0]).is_file():
-            spec_of(name)
-
-
-def several(trackers: str | None) -> dict[str, str]:
-    """The names in a text with commas by their short ones, without the file; raises UnusableInput for two of these."""
-    names = [] if trackers is None else [name.strip() for name in trackers.split(",")]
-    if "" in names:
-        raise UnusableInput(f"--tracker {trackers}: a name is empty; expected names with commas, without blanks")
-    found: dict[str, str] = {}
-    for name in names:
-        short = split_name(name)[1] or name
-        if short in found:
-            raise UnusableInput(f"--tracker {trackers}: '{short}' twice; expected different names; remove one")
-        found[short] = name
-    return found
-
-
-def tracked_by(
-    folders: Sequence[RecordingFolder], names: Sequence[str] = ()
-) -> tuple[dict[str, list[RecordingFolder]], list[str]]:
-    """The recordings of each of the named trackers, by default of the one that fits each; and lines on the others.
-
-    A line for each recording that a tracker does not fit; raises UnusableInput where nothing can be run.
-    """
-    runs: dict[str, list[RecordingFolder]] = {name: [] for name in names}
-    refused: list[str] = []
-    for name in names:
-        lines = [(folder, spec_of(name).refusal(folder, name)) for folder in folders]
-        runs[name] = [folder for folder, line in lines if line is None]
-        refused += [line for _, line in lines if line is not None]
-    for folder in () if names else folders:
-        try:
-            runs.setdefault(fitting(folder), []).append(folder)
-        except UnusableInput as problem:
-            refused.append(str(problem))
-    runs = {name: of for name, of in runs.items() if of}
-    if not runs:
-        raise UnusableInput(refused[0])
-    return runs, refused
+def run_file_of(tracker: str | None) -> None:
+    """Runs the user's file of a tracker, if it has one: it may add the kinds of the recordings' tables."""
+    if tracker is not None and Path(split_name(tracker)[0]).is_file():
+        spec_of(tracker)
 
 
 def spec_of(name: str) -> TrackerSpec:
@@ -296,7 +257,7 @@ def spec_of(name: str) -> TrackerSpec:
         return from_file(name, "tracker", "TrackerSpec", lambda x: isinstance(x, TrackerSpec))
     if "," in name:
         raise UnusableInput(
-            f"tracker {name}: found {name.count(',') + 1} names; expected one; `track` compares several"
+            f"tracker {name}: found {name.count(',') + 1} names; expected one; `evaluate A B` compares runs"
         )
     raise UnusableInput(
         f"tracker {name}: unknown{near(name, TRACKERS)}; expected FILE.py:NAME or one of {', '.join(TRACKERS)}"

@@ -1,20 +1,23 @@
-"""`trackwright check`, `calibrate` and `survey`: data quality, systematic errors, places of anchors."""
+"""`trackwright check`, `calibrate`, `survey` and `trackers`: data, systematic errors, anchors, what can be run."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict, replace
+import textwrap
+from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from trackwright.experiments.cli.options import File, Name, Recording
-from trackwright.trackers.core.errors import printable
+from trackwright.trackers.catalogue import ENTRIES, run_file_of
+from trackwright.trackers.core.errors import UnusableInput, printable
 
 Names = Annotated[str, Parameter(metavar="A1,A2,…")]
 
 
-def check(*recordings: Recording, tracker: Name | None = None, json: bool = False) -> int:
+def check(*recordings: Recording, tracker: Name | None = None) -> int:
     """Check the data: time base, gaps, outliers, ids, units, geometry.
 
     Truth is checked too, if there is any.
@@ -24,24 +27,17 @@ def check(*recordings: Recording, tracker: Name | None = None, json: bool = Fals
     Args:
         recordings: recording folders (rig.toml and tables), or folders of these.
         tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
-        json: print JSON instead of lines: by folder, the results with level, where and message.
     """
-    from trackwright.trackers.catalogue import run_files
-    from trackwright.trackers.recordings.atomic import json_text
     from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
     from trackwright.trackers.recordings.folder import read_recording, recordings_under
 
-    run_files(tracker)
-    failed, by_folder = False, {}
+    run_file_of(tracker)
+    failed = False
     for path in (path for given in recordings for path in recordings_under(given)):
         results = check_recording(read_recording(path))
         failed |= any(result.level == "error" for result in results)
-        by_folder[str(path)] = [asdict(result) for result in results]
-        if not json:
-            print(f"{printable(path)}\n{format_results(results)}")
-    if json:
-        print(json_text(by_folder), end="")
+        print(f"{printable(path)}\n{format_results(results)}")
     return int(failed)
 
 
@@ -59,11 +55,12 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False)
     from trackwright.trackers.recordings.tracks_table import require_new
 
     require_new(out, "calibration.toml", force)
-    from trackwright.experiments.cli.console import notices, output_folder, running
+    from trackwright.experiments.cli.console import notices, output_folder
+    from trackwright.experiments.text.terminal import stages
     from trackwright.trackers.recordings.checks.all_checks import require_sound
     from trackwright.trackers.recordings.folder import read_recordings
 
-    with running("calibrate"):
+    with stages("calibrate"):
         folders = read_recordings(recordings)
         for folder in folders:
             notices([*require_sound(folder, force, True), *folder.notices])
@@ -103,7 +100,8 @@ def survey(
     from trackwright.trackers.recordings.tracks_table import require_new
 
     require_new(out, "rig.toml", force)
-    from trackwright.experiments.cli.console import notices, running
+    from trackwright.experiments.cli.console import notices
+    from trackwright.experiments.text.terminal import stages
     from trackwright.trackers.recordings.checks.all_checks import require_sound
     from trackwright.trackers.recordings.folder import read_recording, refuse_repeated
 
@@ -119,11 +117,45 @@ def survey(
     from trackwright.trackers.recordings.rig_file import rig_text
     from trackwright.tuning.survey import survey as survey_walks
 
-    with running("survey") as begin:
+    with stages("survey") as begin:
         begin("fitting positions and paths")
         result = survey_walks(folders, given or (), sigma, frame or (), height)
         notices(result.notes)
         write_whole(out, rig_text(result.rig))
         page = write_survey_page(out, result, sys.argv)
         print(f"{result}\nwrote {out} and {page.name}")
+    return 0
+
+
+def trackers(tracker: Name | None = None, folder: Path | None = None, /) -> int:
+    """List the trackers and the tables they read; the tunables of one for a recording.
+
+    The first that fits the tables of a recording is chosen where none is named. A tracker of your own is a Python file:
+    --tracker FILE.py:NAME. Tunables have the names of --set, --tune, --bound and --over.
+
+    Args:
+        tracker: one of the list, or FILE.py:NAME of a TrackerSpec of your own, whose tunables are listed.
+        folder: a recording folder with the stations or anchors that it gets.
+    """
+    for name, entry in () if tracker else ENTRIES.items():
+        about = f"{name:<26} {entry.about} ({entry.table})"
+        print(textwrap.fill(about, 80, subsequent_indent=" " * 27, break_on_hyphens=False))
+    if tracker is None:
+        return 0
+    if folder is None:
+        raise UnusableInput(f"trackers {tracker}: its tunables belong to an installation; give a recording FOLDER, too")
+    from trackwright.trackers.recordings.folder import read_recording
+
+    run_file_of(tracker)
+    recording = read_recording(folder)
+    # jax takes a second to import, which a refused recording need not wait for.
+    from trackwright.trackers.catalogue import build
+    from trackwright.trackers.core.model.tunable import meanings
+
+    named = build(tracker, recording)
+    for name, meaning in meanings(named.tracker).items():
+        node = named.tunables[name]
+        bounds = f" ({node.bounds})" * bool(node.bounds)
+        about = f"{name} = {node.value} {node.unit.removeprefix('1')}".rstrip() + f"{bounds}: {meaning}"
+        print(textwrap.fill(about, 120, subsequent_indent="    ", break_on_hyphens=False))
     return 0

@@ -1,26 +1,21 @@
-"""The program: its commands, how cyclopts reads their arguments, refuses them in one line, and prints help.
+"""The program: its commands, how cyclopts reads their arguments, and refuses them in one line.
 
 A command is a typed function whose docstring is its help. Parameters before `*` are positional, `*names` any number of
-words; those after it are options, and so are the fields of a dataclass decorated with `options.OPTIONS`. Of an option
-given twice the last counts, lists are joined.
+words; those after it are options, and so are the fields of the dataclasses in `options`. Of an option given twice the
+last counts, lists are joined.
 """
 
 from __future__ import annotations
 
 import re
-import sys
-import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-from cyclopts import UNSET, App, CoercionError, CycloptsError, Group, Parameter, Token, convert
+from cyclopts import App, CoercionError, CycloptsError, Parameter, Token, convert
 
+from trackwright import __version__
 from trackwright.trackers.core.errors import UnusableInput
-
-if TYPE_CHECKING:
-    from cyclopts.help import HelpPanel
-    from rich.console import Console, ConsoleOptions
 
 ABOUT = "Trackers for wireless indoor positioning: how accurate, with which noise levels?"
 
@@ -34,76 +29,33 @@ COMMANDS = {
     "export": "cli.exchange:export",
     "tune": "cli.track:tune",
     "sweep": "cli.track:sweep",
-    "trackers": "cli.trackers:trackers",
+    "trackers": "cli.check:trackers",
     "simulate": "cli.simulate:simulate",
     "study": "cli.study:study",
     "demo": "lab.demo:demo",
 }
 """Where each command is. All these modules are light: what a command computes with is imported when it runs."""
 
-RARE, ALL = "Rarely needed", "--help-all"
-SECTIONS = {
-    "Input": "tag from to calibration truth held-out table columns mapping topic rig format header missing given",
-    "Tracker": "tracker set noise fit smooth lag",
-    "Fit": "objective tune freeze bound start over align time-offset rpe",
-    "Output": "out figures json fail-if replace align-truth transform",
-    "Running": "runs seed until resume force",
-    RARE: "average free-height side dimensions starts steps prior cluster time-tolerance separator decimal skip "
-    "encoding thousands",
-}
-"""The options of each section of help; the last section is shown by `--help-all` alone."""
-
-WIDTH = 80
-COLUMNS = {"command": 16, "parameter": 24}  # where the texts on names begin
-ANY_COMMAND = Parameter(group=Group("With any command", sort_key=9))
-
 
 def application() -> App:
-    """The program with its commands, each imported when it is used; `meta` has those that go with any."""
-    app = new_app("trackwright", ABOUT, _version)
+    """The program with its commands, each imported when it is used."""
+    app = new_app("trackwright", ABOUT, f"trackwright {__version__}")
     for name, place in COMMANDS.items():
         app.command(f"trackwright.experiments.{place}", name=name, sort_key=len(app._commands))
-
-    @app.meta.default
-    def launch(
-        *words: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)],
-        quiet: Annotated[bool, ANY_COMMAND, Parameter(alias="-q")] = False,
-    ) -> Any:
-        """Run a command.
-
-        Args:
-            words: the command and its arguments.
-            quiet: neither progress nor notices; results and errors alone.
-        """
-        if quiet:
-            from trackwright.experiments.text.terminal import ERRORS
-
-            ERRORS.quiet = True
-        return app(words)
-
-    # Ctrl-C is answered in `main`.
-    app.meta.suppress_keyboard_interrupt = False
     return app
 
 
-def _version() -> str:
-    from trackwright import __version__
-
-    return f"trackwright {__version__}"
-
-
-def new_app(name: str, about: str | None = None, version: Callable[[], str] | None = None) -> App:
+def new_app(name: str, about: str | None = None, version: str | None = None) -> App:
     """A program, or a family of commands, whose errors are left to the caller."""
     return App(
         name=name,
         help=about,
         version=version,
         version_flags=() if version is None else ("--version", "-V"),
-        help_flags=("--help", "-h", ALL),
-        help_format="plaintext",
-        help_formatter=_Help(),
+        help_flags=("--help", "-h", "--help-all"),
+        help_format="markdown",
         default_parameter=Parameter(
-            negative=(), consume_multiple=1, allow_repeating=True, show_default=_shown, converter=_read
+            negative=(), consume_multiple=1, allow_repeating=True, show_default=False, converter=_read
         ),
         result_action="return_value",
         exit_on_error=False,
@@ -120,56 +72,6 @@ def _read(kind: Any, tokens: Sequence[Token]) -> Any:
         if not whole or (isinstance(value, Path) and not token.value):
             raise CoercionError(token=token, target_type=type(value))
     return converted
-
-
-def _shown(default: Any) -> str | None:
-    """A default in help: none for nothing, which the text on the option explains."""
-    return None if default is None or default is False or default in ((), UNSET) else str(default)
-
-
-class _Help:
-    """Prints a help as plain text in two columns; not by rich, which ends a closed pipe in its own way."""
-
-    def render_usage(self, console: Console, options: ConsoleOptions, usage: Any) -> None:
-        """Prints the usage, words not broken at their hyphens."""
-        print(textwrap.fill(f"usage: {usage}", WIDTH, subsequent_indent="  ", break_on_hyphens=False))
-
-    def render_description(self, console: Console, options: ConsoleOptions, description: Any) -> None:
-        """Prints the docstring, its paragraphs filled."""
-        for text in str(description.primary_renderable).split("\n\n"):
-            print("\n" + textwrap.fill(" ".join(text.split()), WIDTH))
-
-    def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
-        """Prints one group of arguments, options by their sections, or the list of commands."""
-        own = str(panel.title)
-        found: dict[str, list[tuple[str, str]]] = {title: [] for title in (own, *SECTIONS)}
-        for entry in panel.entries:
-            about = [str(entry.description.primary_renderable).rstrip(".")]
-            about += [f"({', '.join(entry.choices)})"] if entry.choices else []
-            about += ["(required)"] if entry.required else []
-            about += [f"(default: {entry.default})"] if entry.default and "default:" not in about[0] else []
-            name = entry.display_labels_with_metavar[0]
-            of = (title for title, names in SECTIONS.items() if name.split()[0][2:] in names.split())
-            section = next(of, own) if name.startswith("--") and own == "Parameters" else own
-            found[section].append((", ".join(entry.display_labels_with_metavar), " ".join(about)))
-        if (rare := found[RARE]) and ALL not in sys.argv:
-            found[RARE] = [(ALL, "explains " + ", ".join(name.split()[0] for name, _ in rare))]
-        for title, pairs in found.items():
-            if pairs:
-                print("\n".join([f"\n{title}:", *rows(pairs, COLUMNS[panel.format])]))
-
-
-def rows(pairs: Iterable[tuple[str, str]], column: int) -> list[str]:
-    """Names and texts in two columns of a terminal; a name that is too long has a line of its own."""
-    lines, blank = list[str](), " " * column
-    for name, text in pairs:
-        first = f"  {name}"
-        if len(first) + 2 > column:
-            lines.append(first)
-            first = ""
-        lines += textwrap.wrap(text, WIDTH, initial_indent=f"{first:<{column}}", subsequent_indent=blank,
-                               break_on_hyphens=False)  # fmt: skip
-    return lines
 
 
 def answered(app: App, words: Sequence[str], program: str) -> int:

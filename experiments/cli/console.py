@@ -1,17 +1,16 @@
-"""What commands share: their stages, the recordings that they read, compiled programs, manifests."""
+"""What commands share: the recordings that they read, compiled programs, manifests."""
 
 from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trackwright.experiments.cli.options import Readings
-from trackwright.experiments.text.terminal import Begin, notice, stages
+from trackwright.experiments.cli.options import Numbers, Readings
+from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.atomic import json_text, write_whole
 from trackwright.trackers.recordings.checks.all_checks import require_sound
@@ -22,13 +21,6 @@ if TYPE_CHECKING:
 
 LEFT_OUT = 3
 """The exit code where recordings were left out, and the others done."""
-
-
-@contextmanager
-def running(what: str, json: bool = False) -> Iterator[Begin]:
-    """Runs the command `what`; yields what begins a stage. With `json`, what is printed goes to standard error."""
-    with redirect_stdout(sys.stderr) if json else nullcontext(), stages(what) as begin:
-        yield begin
 
 
 def write_manifest(out: Path, **about: Any) -> None:
@@ -94,7 +86,18 @@ def prepared(
         notices(lines)
         folders.append(folder)
     if refused and not folders:
-        for line in refused[1:]:
-            notice(f"not tracked: {line}")
-        raise UnusableInput(refused[0])
+        raise UnusableInput(f"{refused[0]} ({len(refused)} of {len(paths)} recordings are refused)")
     return folders
+
+
+def chosen_tracker(folders: Sequence[RecordingFolder], numbers: Numbers) -> str:
+    """The tracker that options name, or that fits the first recording, with a notice of what it leaves unread."""
+    from trackwright.trackers.catalogue import fitting, spec_of
+
+    name = numbers.named or fitting(folders[0])
+    if numbers.tracker is None:
+        spec = spec_of(name)
+        unread = {table for folder in folders for table in folder.tables} - spec.reads - {"imu", "truth"}
+        without = f"; without {listed(sorted(unread))}" if unread else ""
+        notice(f"tracker: {name} ({spec.about}{without}); choose another with --tracker")
+    return name

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import File, Folder, Name, Numbers, TrackOptions
+from trackwright.experiments.cli.options import File, Folder, Name, Numbers
 from trackwright.trackers.core.errors import UnusableInput
 
 Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
@@ -80,12 +80,9 @@ def import_source(
     mappings = [dataclasses.replace(m, tag=m.tag or tag, columns={**m.columns, **added}) for m in tables_of]
     if table is not None:
         mappings = [TableMapping(table=table, columns=added, tag=tag, **form)]
-    tables, written = import_file(source, out, mappings, tag, format, rig, transform, align_truth, replace, notice)
+    tables, _ = import_file(source, out, mappings, tag, format, rig, transform, align_truth, replace, notice)
     rows = ", ".join(f"{table} {counted(len(rows), 'row')}" for table, rows in tables.items())
-    own = "" if set(tables) <= {*get_args(Table)} else " --tracker FILE.py:NAME"
-    surveyed = "ranges" in written.tables and not written.rig.anchors
-    follows = f"survey {out} --out SITE/rig.toml" if surveyed else f"check {out}{own}"
-    print(f"wrote {out}: {rows}; next: trackwright {follows}")
+    print(f"wrote {out}: {rows}")
     return 0
 
 
@@ -116,15 +113,17 @@ def export(
 
         print("\n".join(export_tracks(run, format, out, tag, force)))
         return 0
+    from trackwright.experiments.cli.console import chosen_tracker
     from trackwright.trackers.c_source import write_c
-    from trackwright.trackers.catalogue import build, fitting
     from trackwright.trackers.recordings.folder import Selection, read_recording
     from trackwright.trackers.recordings.tracks_table import require_new
 
     require_new(out, "tracker.c", force)
-    options = TrackOptions(out=out.parent, numbers=Numbers(tracker=tracker), noise=noise)
-    options.read()
-    folder = Selection(() if tag is None else (tag,)).of(read_recording(run))
-    written = write_c(options.valued(build(options.named or fitting(folder), folder)), folder, out)
+    numbers, folder = (
+        Numbers(tracker=tracker, noise=noise),
+        Selection(() if tag is None else (tag,)).of(read_recording(run)),
+    )
+    numbers.read()
+    written = write_c(numbers.build(chosen_tracker([folder], numbers), folder), folder, out)
     print(f"wrote {', '.join(map(str, written))}")
     return 0

@@ -23,7 +23,13 @@ def main() -> None:
     """Run one command. Exit code 0, 1 (a check failed), 2 (unusable input, one line) or 3 (recordings left out)."""
     try:
         _settle()
-        code = _run(sys.argv[1:])
+        from trackwright.experiments.cli.commands import COMMANDS, application
+
+        app = application()
+        if not {*sys.argv[1:2]} & {*COMMANDS}:
+            # The list of commands has the first lines of their docstrings.
+            app.resolved_commands()
+        code = _code(app, "trackwright")
         sys.stdout.flush()
     except KeyboardInterrupt:
         print("trackwright: interrupted; files already written are complete", file=sys.stderr)
@@ -40,12 +46,10 @@ def main() -> None:
 
 
 def _settle() -> None:
-    """Collect garbage less often, let polars give memory back, keep alarms of XLA off the terminal."""
+    """Collect garbage less often, and keep alarms of XLA off the terminal."""
     gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
     # What lives to the end needs no last collection, which took 0.6 s after jax was used.
     atexit.register(gc.freeze)
-    # The allocator of polars, which is to give memory back while jax is imported.
-    os.environ.setdefault("_RJEM_MALLOC_CONF", "dirty_decay_ms:100,muzzy_decay_ms:0")
     # XLA reports a slow compilation as an error; those that fail reach us as exceptions.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     for stream in (sys.stdout, sys.stderr):
@@ -53,30 +57,22 @@ def _settle() -> None:
             stream.reconfigure(errors="replace")  # a Windows pipe lacks some of our characters
 
 
-def _run(words: list[str]) -> int:
-    from trackwright.experiments.cli.commands import COMMANDS, answered, application
+def _code(app: Any, program: str) -> int:
+    """The exit code of an app for the words of this process."""
+    from trackwright.experiments.cli.commands import answered
     from trackwright.trackers.core.errors import UnusableInput
 
     try:
-        app = application()
-        if not {*words[:1]} & {*COMMANDS}:
-            # The list of commands has the first lines of their docstrings.
-            app.resolved_commands()
-        return answered(app.meta, words, "trackwright")
+        return answered(app, sys.argv[1:], program)
     except UnusableInput as problem:
         print(f"trackwright: {problem}", file=sys.stderr)
-    return 2
+        return 2
 
 
 def run_alone(function: Callable[..., Any], program: str) -> NoReturn:
     """Run a function as a program of its own, as in trackwright.experiments.lab; exits with its code, or 2."""
-    from trackwright.experiments.cli.commands import answered, new_app
-    from trackwright.trackers.core.errors import UnusableInput
+    from trackwright.experiments.cli.commands import new_app
 
     app = new_app(program)
     app.default(function)
-    try:
-        sys.exit(answered(app, sys.argv[1:], program))
-    except UnusableInput as problem:
-        print(problem, file=sys.stderr)
-        sys.exit(2)
+    sys.exit(_code(app, program))

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from trackwright.trackers.recordings.calibration import Calibration
-    from trackwright.trackers.recordings.folder import Selection
+    from trackwright.trackers.recordings.folder import RecordingFolder, Selection
     from trackwright.trackers.recordings.named_tracker import NamedTracker
     from trackwright.tuning.tuned_file import Tuned
 
@@ -37,26 +36,35 @@ def _output(_: Any, path: Path | None) -> None:
         require_output(path)
 
 
+INPUT, TRACKER, OUTPUT, RUNNING, RARELY = (
+    Group(name, sort_key=k) for k, name in enumerate(("Input", "Tracker", "Output", "Running", "Rarely needed"), 1)
+)
+"""The sections of help, after the parameters of the command alone."""
+
+FLAG, RUN = Parameter(group=TRACKER), Parameter(group=RUNNING)
+RARE = Parameter(group=RARELY, show="--help-all" in sys.argv)
+
 Folder = Annotated[Path, Parameter(metavar="FOLDER")]
-Out = Annotated[Path, Parameter(metavar="FOLDER", validator=_output)]
+Out = Annotated[Path, Parameter(metavar="FOLDER", validator=_output, group=OUTPUT)]
 Recording = Annotated[Path, Parameter(required=True)]
 """One of the positional folders, of which a command needs one at least."""
 
 File = Annotated[Path, Parameter(metavar="FILE")]
 Seconds = Annotated[float, Parameter(metavar="S", validator=_number(-math.inf, words="seconds"))]
+Span = Annotated[float, Parameter(metavar="S", validator=_number(0, 1e6, "seconds from 0 on"))]
+Lag = Annotated[float, Parameter(metavar="S", group=TRACKER, validator=_number(1e-9, 1e6, "seconds above zero"))]
+Seed = Annotated[int, Parameter(group=RUNNING, validator=_number(0, 2**64 - 1, "a whole number from 0 to 2^64 - 1"))]
 Pattern = Annotated[str, Parameter(metavar="PATTERN")]
 Name = Annotated[str, Parameter(metavar="NAME")]
-Address = Annotated[str, Parameter(metavar="ADDRESS")]
+Cluster = Annotated[str, Parameter(metavar="ADDRESS")]
 Least1 = Annotated[int, Parameter(validator=_number(1))]
-Figures = Literal["none", "page", "png", "pdf"]
+Figures = Annotated[Literal["none", "page", "png", "pdf"], Parameter(group=OUTPUT)]
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
-"""As `trackers.exchange.trajectories.Alignment`, which takes longer to import."""
-
-OPTIONS = Parameter(name="*")  # decorates a dataclass whose fields are options, each explained in its docstring
+"""As `trackers.exchange.pose_errors.Alignment`, which takes longer to import."""
 
 
-@OPTIONS
+@Parameter(name="*", group=INPUT)
 @dataclass(frozen=True, kw_only=True)
 class Part:
     """The part of recordings, or of estimates, that is used.
@@ -79,7 +87,7 @@ class Part:
         return Selection(self.tag, self.from_, self.to)
 
 
-@OPTIONS
+@Parameter(name="*", group=INPUT)
 @dataclass(frozen=True, kw_only=True)
 class Readings(Part):
     """The readings that are used, and their calibration.
@@ -90,7 +98,9 @@ class Readings(Part):
     """
 
     calibration: File | None = None
-    average: Annotated[float, Parameter(metavar="S", validator=_number(0, words="seconds from 0 on"))] | None = None
+    average: Annotated[float, Parameter(metavar="S", validator=_number(0, words="seconds from 0 on")), RARE] | None = (
+        None
+    )
 
     def read_calibration(self) -> Calibration | None:
         """The calibration, None without one; raises UnusableInput."""
@@ -101,23 +111,25 @@ class Readings(Part):
         return read_calibration(self.calibration)
 
 
-@OPTIONS
+@Parameter(name="*", group=TRACKER)
 @dataclass(frozen=True, kw_only=True)
 class Numbers:
     """The tracker and its numbers.
 
     Args:
-        tracker: one that `trackwright trackers` lists, or FILE.py:NAME; `track` compares several, with commas; default:
-            as in the file `--noise` or `--start`, else the one that fits the tables.
-        set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; `trackwright trackers NAME` lists them.
+        tracker: one that `trackwright trackers` lists, or FILE.py:NAME; default: as in the file --noise, else the one
+            that fits the tables.
+        noise: a tuned.toml of `trackwright tune`, from which `tune` starts.
+        set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1, before those of --noise.
         free_height: estimate the height of tags whose height the rig gives.
         side: where tags are of anchors in one plane; default: below from 2 m on, above up to 0.5 m, else either.
     """
 
     tracker: Name | None = None
+    noise: File | None = None
     set_: tuple[Annotated[str, Parameter(metavar="NAME=VALUE")], ...] = ()
-    free_height: bool = False
-    side: Literal["above", "below"] | None = None
+    free_height: Annotated[bool, RARE] = False
+    side: Annotated[Literal["above", "below"], RARE] | None = None
 
     @cached_property
     def values(self) -> dict[str, Any]:
@@ -128,61 +140,44 @@ class Numbers:
 
         return parse_values(self.set_, "--set")
 
-
-@dataclass(frozen=True, kw_only=True)
-class WithNumbers:
-    """Options with a tracker, its numbers, a tuned.toml in the field `noise` or `start`, and readings."""
-
-    out: Out
-    numbers: Numbers = field(default_factory=Numbers)
-    used: Readings = field(default_factory=Readings)
-
-    @property
-    def file(self) -> Path | None:
-        """The tuned.toml whose values are used."""
-        file: Path | None = getattr(self, "noise", None) or getattr(self, "start", None)
-        return file
-
     @cached_property
     def tuned(self) -> Tuned | None:
-        """The content of that file; raises UnusableInput."""
-        if self.file is None:
+        """The content of `--noise`; raises UnusableInput."""
+        if self.noise is None:
             return None
         from trackwright.tuning.tuned_file import read_tuned
 
-        return read_tuned(self.file)
+        return read_tuned(self.noise)
 
     @property
     def named(self) -> str | None:
         """The tracker that the options or the file name, None for the one that fits the tables."""
-        return self.numbers.tracker or (None if self.tuned is None else self.tuned.tracker)
+        return self.tracker or (None if self.tuned is None else self.tuned.tracker)
 
     def read(self) -> None:
         """Raises UnusableInput for values and files that cannot be read, before anything else is."""
-        from trackwright.trackers.catalogue import run_files
+        from trackwright.trackers.catalogue import run_file_of
 
-        run_files(self.named)
-        _ = self.numbers.values
+        run_file_of(self.named)
+        _ = self.values
 
-    def valued(self, named: NamedTracker) -> NamedTracker:
-        """The tracker with the values of the file and then of `--set`."""
+    def build(self, name: str, folders: RecordingFolder | list[RecordingFolder]) -> NamedTracker:
+        """The tracker of this name for recordings, with the values of the file and then of `--set`."""
+        from trackwright.trackers.catalogue import build
+
+        named = build(name, folders, self.free_height, self.side)
         if self.tuned is not None:
-            named = self.tuned.of(named, self.file)
-        return named.with_values(self.numbers.values, "--set") if self.numbers.values else named
-
-    def settings(self, **without: Any) -> str:
-        """The options as text, for digests of what results depend on; `without`: defaults of those that do not."""
-        return repr(replace(self, out=Path(), **without))
+            named = self.tuned.of(named, self.noise)
+        return named.with_values(self.values, "--set") if self.values else named
 
 
-@OPTIONS
+@Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class TrackOptions(WithNumbers):
+class TrackOptions:
     """How it is tracked, and what is written.
 
     Args:
         out: the folder to write to.
-        noise: a tuned.toml of `trackwright tune`.
         fit: fit noise levels to each recording's own readings, except where errors last or --noise or --set has them.
         smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
         lag: smooth with the readings of the next so many seconds only.
@@ -190,23 +185,23 @@ class TrackOptions(WithNumbers):
         cluster: track one by one on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
         figures: page, report.html with playback and linked charts; png or pdf, also the charts as files; or none.
         force: track recordings in spite of the errors that `trackwright check` finds.
-        json: print the error metrics as JSON, by tracker, instead of tables.
     """
 
-    noise: File | None = None
-    fit: bool = False
-    smooth: bool = False
-    lag: Annotated[float, Parameter(metavar="S", validator=_number(1e-9, 1e6, "seconds above zero"))] | None = None
-    seed: Annotated[int, Parameter(validator=_number(0, 2**64 - 1, "a whole number from 0 to 2^64 - 1"))] = 0
-    cluster: Address | None = None
+    out: Out
+    numbers: Numbers = field(default_factory=Numbers)
+    used: Readings = field(default_factory=Readings)
+    fit: Annotated[bool, FLAG] = False
+    smooth: Annotated[bool, FLAG] = False
+    lag: Lag | None = None
+    seed: Seed = 0
+    cluster: Annotated[Cluster, RARE] | None = None
     figures: Figures = "page"
-    force: bool = False
-    json: bool = False
+    force: Annotated[bool, RUN] = False
 
 
-@OPTIONS
+@Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class TuneOptions(WithNumbers):
+class TuneOptions:
     """What is fitted, how, and what is written.
 
     Args:
@@ -216,94 +211,61 @@ class TuneOptions(WithNumbers):
             levels of motion and sensors; with truth the latency of fixes, else dof and skew of readings.
         freeze: patterns of tunables to keep.
         bound: physical bounds of tuned numbers.
-        prior: of nll and state-nll: sites, the spread between sites about the values before the fit; or flat.
-        start: a tuned.toml to start from; --set goes before it.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
-        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too; default: by the truth.
-        starts: number of starts: the given values, then the best of a coarse grid.
+        prior: of nll and state-nll: sites, the spread between sites about the values before the fit; or flat.
+        starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         steps: maximum number of steps per start.
         resume: continue from the checkpoint in --out, with bit-identical results.
-        figures: page, report.html; png or pdf, also the chart of the objective as a file; or none.
+        figures: page, report.html; or none.
     """
 
+    out: Out
+    numbers: Numbers = field(default_factory=Numbers)
+    used: Readings = field(default_factory=Readings)
     objective: Name | None = None
     tune: tuple[Pattern, ...] | None = None
     freeze: tuple[Pattern, ...] = ()
     bound: tuple[Annotated[str, Parameter(metavar="PATTERN=LOW:HIGH")], ...] = ()
-    prior: Literal["sites", "flat"] = "sites"
-    start: File | None = None
-    held_out: tuple[Folder, ...] = ()
-    dimensions: Literal[2, 3] | None = None
-    starts: Least1 = 4
-    steps: Least1 = 60
-    resume: bool = False
-    figures: Figures = "page"
+    held_out: Annotated[tuple[Folder, ...], Parameter(group=INPUT)] = ()
+    prior: Annotated[Literal["sites", "flat"], RARE] = "sites"
+    starts: Annotated[Least1, RARE] = 4
+    steps: Annotated[Least1, RARE] = 60
+    resume: Annotated[bool, RUN] = False
+    figures: Annotated[Literal["none", "page"], Parameter(group=OUTPUT)] = "page"
 
 
-@OPTIONS
-@dataclass(frozen=True, kw_only=True)
-class SweepOptions(WithNumbers):
-    """What is evaluated, and where.
-
-    Args:
-        out: the folder to write to.
-        over: a shell pattern of tunables, tied, and their values; once or twice. ':log' makes equal ratios.
-        objective: rmse (needs truth), nll, or another objective of `tune`.
-        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
-        noise: a tuned.toml for the other parameters.
-    """
-
-    over: Annotated[tuple[str, ...], Parameter(metavar="PATTERN=START:STOP:COUNT[:log]...")]
-    objective: Name = "rmse"
-    dimensions: Literal[2, 3] = 2
-    noise: File | None = None
-
-    @cached_property
-    def grids(self) -> dict[str, np.ndarray]:
-        """The grids of `--over` by pattern; raises UnusableInput."""
-        from trackwright.tuning.tuned_file import parse_grids
-
-        return parse_grids(self.over, "--over")
-
-
-@OPTIONS
-@dataclass(frozen=True, kw_only=True)
-class PoseOptions:
-    """The comparison of poses; None and empty where not given.
-
-    Args:
-        align: fit each track to its truth first: se3, sim3 (with scale), scale, se2 (in x and y), origin (first pose).
-        time_offset: added to the times of the estimates.
-        time_tolerance: largest distance in time between a pose and its true pose; default: 0.01.
-        rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
-        out: a folder for the page, evaluation.json and the tracks as compared.
-    """
-
-    align: Alignment | None = None
-    time_offset: Annotated[float, Parameter(metavar="S")] = 0.0
-    time_tolerance: Seconds | None = None
-    rpe: tuple[Annotated[str, Parameter(metavar="STEP")], ...] = ()
-    out: Out | None = None
-
-
-@OPTIONS
+@Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions:
     """What is compared, and what is printed.
 
     Args:
         truth: recordings with truth, or a trajectory file of the one tag; default: the tracked recordings.
-        json: print all metrics as JSON instead of a table.
+        align: fit each track to its truth first: se3, sim3 (with scale), scale, se2 (in x and y), origin (first pose).
+        time_offset: added to the times of the estimates; auto: the one that fits best.
+        time_tolerance: largest distance in time between a pose and its true pose.
+        rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
+        json: print all metrics of a run as JSON instead of a table.
         fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
+        out: a folder for the page that compares several runs.
     """
 
-    truth: tuple[Annotated[Path, Parameter(metavar="FOLDER|FILE")], ...] = ()
+    truth: Annotated[tuple[Annotated[Path, Parameter(metavar="FOLDER|FILE")], ...], Parameter(group=INPUT)] = ()
     used: Part = field(default_factory=Part)
-    json: bool = False
-    fail_if: Annotated[str, Parameter(metavar="CONDITION")] | None = None
-    poses: PoseOptions = field(default_factory=PoseOptions)
+    align: Alignment | None = None
+    time_offset: Annotated[Literal["auto"] | float, Parameter(metavar="S|auto")] = 0.0
+    time_tolerance: Annotated[Seconds, RARE] = 0.01
+    rpe: tuple[Annotated[str, Parameter(metavar="STEP")], ...] = ()
+    json: Annotated[bool, Parameter(group=OUTPUT)] = False
+    fail_if: Annotated[str, Parameter(metavar="CONDITION", group=OUTPUT)] | None = None
+    out: Out | None = None
+
+    @property
+    def of_poses(self) -> bool:
+        """Whether pose errors are asked for."""
+        return self.align is not None or bool(self.rpe) or (self.time_offset, self.time_tolerance) != (0.0, 0.01)
 
 
-def file_format(figures: Figures) -> Literal["png", "pdf"] | None:
-    """The kind of the figures in files, None for none."""
-    return figures if figures == "png" or figures == "pdf" else None
+def settings(options: TrackOptions | TuneOptions, **without: Any) -> str:
+    """The options as text, for digests of what results depend on; `without`: defaults of those that do not."""
+    return repr(replace(options, out=Path(), **without))

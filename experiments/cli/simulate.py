@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+
+from cyclopts import Parameter
 
 from trackwright.experiments.cli.commands import new_app
 from trackwright.experiments.cli.options import Folder
@@ -15,10 +17,11 @@ from trackwright.trackers.core.errors import UnusableInput
 if TYPE_CHECKING:
     from trackwright.sim.worlds import SimulatedWorld
 
-COMMON = """
-    out: the folder to write; it must not exist or be empty.
-    n: trajectories, each of a tag, or body, of its own.
-    seed: the same seed gives the same numbers; a trajectory depends on the seed and its own number alone."""
+HELP = {
+    "out": "the folder to write, one recording in Parquet; it must not exist or be empty.",
+    "n": "trajectories, each of a tag, or body, of its own.",
+    "seed": "the same seed gives the same numbers; a trajectory depends on the seed and its own number alone.",
+}
 """The help of the options that all worlds share."""
 
 
@@ -43,19 +46,15 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
         print(f"wrote {out}: {counted(len(folder.rig.tags), 'tag')}, {sizes}")
         return 0
 
-    signature, hints = inspect.signature(world), get_type_hints(world, include_extras=True)
-    keyword = inspect.Parameter.KEYWORD_ONLY
+    hints, own = {"out": Folder} | get_type_hints(world, include_extras=True), inspect.signature(world).parameters
+    shared = {name: Annotated[hints[name], Parameter(help=text)] for name, text in HELP.items()}
+    keyword, defaults = inspect.Parameter.KEYWORD_ONLY, {name: p.default for name, p in own.items() if name != "ids"}
     options = [
-        inspect.Parameter("out", keyword, annotation=Folder),
-        *(p.replace(kind=keyword, annotation=hints[name]) for name, p in signature.parameters.items() if name != "ids"),
+        inspect.Parameter(name, keyword, default=default, annotation=(hints | shared)[name])
+        for name, default in ({"out": inspect.Parameter.empty} | defaults).items()
     ]
-    simulate.__signature__ = signature.replace(parameters=options, return_annotation=int)  # type: ignore[attr-defined]
-    simulate.__annotations__ = {p.name: p.annotation for p in options} | {"return": int}
-    # From Python 3.13 on docstrings have no indentation of their own.
-    summary, _, arguments = inspect.cleandoc(world.__doc__ or "").partition("\n")
-    before, head, after = arguments.partition("Args:")
-    text = f"{summary}\n\nWrites one recording folder, its tables in Parquet.\n{before}"
-    simulate.__doc__ = f"{text}{head}{COMMON}{after}"
+    simulate.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    simulate.__annotations__, simulate.__doc__ = {p.name: p.annotation for p in options}, world.__doc__
     return simulate
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -10,13 +9,12 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.options import Address, Figures, Out, file_format
+from trackwright.experiments.cli.options import Cluster, Figures, Out
 
 
 def study(
     what: Annotated[str, Parameter(name="STUDY")] = "", /, *, out: Out | None = None, runs: int | None = None,
-    seed: int | None = None, until: Annotated[str, Parameter(metavar="METRIC±WIDTH")] | None = None,
-    cluster: Address | None = None, figures: Figures = "page",
+    seed: int | None = None, cluster: Cluster | None = None, figures: Figures = "page",
 ) -> int:  # fmt: skip
     """Run a Monte Carlo study: worlds × trackers × a grid × runs.
 
@@ -28,47 +26,36 @@ def study(
         out: output folder; default: out/study-NAME.
         runs: trajectories per condition (a world at a grid point); default: the study's own number.
         seed: seed of the random numbers; default: the study's own.
-        until: stop a condition when the 95 % interval of a metric is this narrow, e.g. "rmse_m±1%", or after `runs`.
         cluster: run the chunks on a Dask cluster, tcp://HOST:8786, or in processes here, local:4 (docs/cluster.md).
         figures: page, report.html; png or pdf, also its charts as files; or none.
     """
-    from trackwright.experiments.cli.console import keep_programs, running, write_manifest
+    from trackwright.experiments.cli.console import keep_programs, write_manifest
     from trackwright.experiments.jobs.executors import cluster_executor
-    from trackwright.experiments.monte_carlo.declaration import checked
-    from trackwright.experiments.monte_carlo.runner import StopRule, run_study
+    from trackwright.experiments.monte_carlo.runner import run_study
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
     from trackwright.experiments.pages import study as pages
     from trackwright.experiments.pages.report import write_page
-    from trackwright.experiments.text.terminal import notice
+    from trackwright.experiments.text.terminal import stages
     from trackwright.experiments.text.wording import figures_drawn
-    from trackwright.trackers.core.run.chunks import n_workers
-    from trackwright.trackers.core.wording import counted
     from trackwright.trackers.recordings.atomic import write_whole
 
     if not what:
         print(pages.study_names([load_study(name) for name in available_studies()]))
         return 0
     keep_programs()
-    declared = load_study(what)
-    numbers = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
-    declared = checked(dataclasses.replace(declared, **numbers))  # type: ignore[arg-type]
-    stop, folder = until and StopRule.parse(until, declared), out or Path("out") / f"study-{declared.name}"
-    total = len(declared.conditions) * declared.chunks
-    with running("study") as begin, cluster_executor(cluster) if cluster else nullcontext() as executor:
-        where = f"on {cluster}" if cluster else f"{n_workers()} in parallel"
-        parts = (len(declared.conditions), "condition"), (declared.runs, "run"), (len(declared.trackers), "tracker")
-        size = f"{' × '.join(counted(*part) for part in parts)} in {counted(total, 'chunk')} of {declared.chunk}"
-        notice(f"{declared.name}: {declared.about} {size}, {where}")
-        results = run_study(declared, folder, stop or None, begin(declared.name, total), executor)
+    declared = load_study(what, runs, seed)
+    folder, total = out or Path("out") / f"study-{declared.name}", len(declared.conditions) * declared.chunks
+    with stages("study") as begin, cluster_executor(cluster) if cluster else nullcontext() as executor:
+        results = run_study(declared, folder, begin(declared.name, total), executor)
     expected = [] if declared.expected is None else [*declared.expected(results)]
     print(pages.to_text(results, expected), end="")
     write_whole(folder / "results.json", pages.to_json(results, expected))
     written = ["results.json", "manifest.json"]
-    if kind := file_format(figures):
+    if figures == "png" or figures == "pdf":
         # matplotlib takes a third of a second to import.
         from trackwright.experiments.pages.chart import write_charts
 
-        written.append(figures_drawn(write_charts(folder, pages.study_charts(results), kind)))
+        written.append(figures_drawn(write_charts(folder, pages.study_charts(results), figures)))
     if figures != "none":
         page = pages.study_page(results, expected, sys.argv)
         written.insert(0, write_page(folder / pages.REPORT, page).name)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+from cyclopts import Parameter
+
 from trackwright.experiments.cli.options import (
     EvaluateOptions,
-    PoseOptions,
+    Name,
+    Numbers,
+    Out,
+    Readings,
     Recording,
-    SweepOptions,
     TrackOptions,
     TuneOptions,
 )
@@ -16,19 +22,19 @@ from trackwright.trackers.core.errors import UnusableInput
 def track(*recordings: Recording, options: TrackOptions) -> int:
     """Track recordings: estimates, error metrics, a page with playback.
 
-    Writes tracks.parquet, report.html and manifest.json; prints error metrics where there is truth. With a folder of
-    folders, more than 60 recordings or --cluster each recording is tracked by itself and kept, so that the same command
-    continues, and those that fail are left out, with exit code 3.
+    Writes tracks.parquet, report.html and manifest.json; prints error metrics where there is
+    truth. With a folder of folders, more than 60 recordings or --cluster each recording is tracked by itself and kept,
+    so that the same command continues, and those that fail are left out, with exit code 3.
 
     Args:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
     """
-    from trackwright.experiments.cli.console import keep_programs, prepared, running
-    from trackwright.trackers.recordings.atomic import json_text
+    from trackwright.experiments.cli.console import keep_programs, prepared
+    from trackwright.experiments.text.terminal import stages
     from trackwright.trackers.recordings.folder import archive_of
 
-    options.read()
-    with running("track", options.json) as begin:
+    options.numbers.read()
+    with stages("track") as begin:
         begin("reading")
         refused = list[str]()
         archive = archive_of(recordings, options.cluster is not None)
@@ -39,45 +45,41 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
         if archive:
             from trackwright.experiments.cli.archive import track_archive
 
-            code, found = track_archive(archive, options, begin)
-        else:
-            from trackwright.experiments.cli.tracking import track_together
+            return track_archive(archive, options, begin)
+        from trackwright.experiments.cli.tracking import track_together
 
-            code, found = track_together(folders, refused, options, begin)
-    if options.json:
-        print(json_text(found), end="")
-    return code
+        return track_together(folders, refused, options, begin)
 
 
-DEFAULTS = EvaluateOptions()
+DEFAULTS, NUMBERS, READINGS = EvaluateOptions(), Numbers(), Readings()
 
 
 def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> int:
     """Error metrics of estimates against truth; a comparison of runs.
 
-    By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, or a table
+    By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, KITTI, EuRoC, or a table
     with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
 
-    Of several runs: their metrics side by side, and each one's differences from the first, with --json and --out alone.
+    Of several runs: their metrics side by side, and each one's differences from the first, with --out alone.
 
     Args:
         runs: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
-            tag, which --tag names; to compare, two or more folders of `track`.
+            tag, which --tag names; to compare, two or more folders of `track`, or two or more of `study`.
     """
     from trackwright.experiments.cli.evaluating import evaluate_poses, evaluate_run, print_comparison
-    from trackwright.trackers.recordings.tracks_table import require_sources
 
-    run, poses, truth = runs[0], options.poses, options.truth
+    run, truth = runs[0], options.truth
     if len(runs) > 1:
-        if options != EvaluateOptions(json=options.json, poses=PoseOptions(out=poses.out)):
-            raise UnusableInput(f"evaluate: {len(runs)} runs to compare; expected no option but --json and --out")
-        print_comparison(runs, poses.out, json=options.json)
+        if options != EvaluateOptions(out=options.out):
+            raise UnusableInput(f"evaluate: {len(runs)} runs to compare; expected no option but --out")
+        print_comparison(runs, options.out)
         return 0
+    if options.out is not None:
+        raise UnusableInput("evaluate: --out is the folder for a comparison; expected two runs or more; leave it out")
     if not run.exists():
         raise UnusableInput(f"{run}: no such file; expected a folder with tracks.parquet, or a file of estimates")
-    if run.is_file() or poses != PoseOptions() or not all(path.is_dir() for path in truth):
-        return evaluate_poses(run, truth if truth or run.is_file() else require_sources(run), options)
-    return evaluate_run(run, options)
+    of_poses = run.is_file() or options.of_poses or not all(path.is_dir() for path in truth)
+    return evaluate_poses(run, options) if of_poses else evaluate_run(run, options)
 
 
 def tune(*recordings: Recording, options: TuneOptions) -> int:
@@ -89,10 +91,11 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
     Args:
         recordings: recording folders to fit to, all at once.
     """
-    from trackwright.experiments.cli.console import keep_programs, prepared, running
+    from trackwright.experiments.cli.console import keep_programs, prepared
+    from trackwright.experiments.text.terminal import stages
 
-    options.read()
-    with running("tune") as begin:
+    options.numbers.read()
+    with stages("tune") as begin:
         begin("reading")
         folders = prepared((*recordings, *options.held_out), options.used)
         begin("preparing")
@@ -103,23 +106,33 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
         return tune_folders(folders, len(recordings), options, begin)
 
 
-def sweep(*recordings: Recording, options: SweepOptions) -> int:
+def sweep(
+    *recordings: Recording, out: Out,
+    over: Annotated[tuple[str, ...], Parameter(metavar="PATTERN=START:STOP:COUNT[:log]...")],
+    objective: Name = "rmse", numbers: Numbers = NUMBERS, used: Readings = READINGS,
+) -> int:  # fmt: skip
     """Evaluate an objective on a grid of one or two noise levels.
 
     Writes sweep.csv, the figure sweep.png and manifest.json.
 
     Args:
         recordings: recording folders, all at once.
+        out: the folder to write to.
+        over: a shell pattern of tunables, tied, and their values; once or twice. ':log' makes equal ratios.
+        objective: rmse (horizontal; needs truth), nll, or another objective of `tune`.
     """
-    from trackwright.experiments.cli.console import keep_programs, prepared, running
+    from trackwright.experiments.cli.console import keep_programs, prepared
+    from trackwright.experiments.text.terminal import stages
+    from trackwright.tuning.tuned_file import parse_grids
 
-    options.read()
-    _ = options.grids
-    with running("sweep") as begin:
+    numbers.read()
+    grids = parse_grids(over, "--over")
+    with stages("sweep") as begin:
         begin("reading")
-        folders = prepared(recordings, options.used)
+        folders = prepared(recordings, used)
         begin("preparing")
         keep_programs()
         from trackwright.experiments.cli.tuning import sweep_folders
 
-        return sweep_folders(folders, options, begin)
+        sweep_folders(folders, grids, objective, numbers, out, begin)
+    return 0

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from time import monotonic
 
 import numpy as np
 import polars as pl
 
 import trackwright as tw
-from trackwright.experiments.cli.console import notices, output_folder, write_manifest
-from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, file_format
+from trackwright.experiments.cli.console import chosen_tracker, notices, output_folder, write_manifest
+from trackwright.experiments.cli.options import Numbers, TuneOptions, settings
 from trackwright.experiments.jobs.fits import checked_bounds, kept_fit, left_out_estimates
 from trackwright.experiments.pages import tuning as pages
 from trackwright.experiments.pages.report import typed, write_page
-from trackwright.experiments.text.tables import aligned
+from trackwright.experiments.text.tables import sections_text
 from trackwright.experiments.text.terminal import Advance, Begin, notice
-from trackwright.trackers.catalogue import fitting
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.evaluation.evaluate import with_truth
 from trackwright.trackers.recordings.atomic import atomic_write
@@ -30,25 +30,16 @@ from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.problem import is_stochastic
 from trackwright.tuning.sweeping import grid_vectors, swept_parameters
 from trackwright.tuning.tuned_file import tuned_content
-from trackwright.tuning.uncertainty import Interval
 
 INTERRUPTED = 130  # the exit code of a command that Ctrl-C ended, as shells have it
 REPEATS = 10  # runs of a particle filter per point of a sweep, with different random numbers
 
 
-def tracker_for_folders(folders: Sequence[tw.RecordingFolder], options: WithNumbers) -> tw.NamedTracker:
-    """The tracker, named, of the options' file or chosen by the tables, with the values of the file and of `--set`."""
-    name, given = options.named or fitting(folders[0]), options.numbers
-    if given.tracker is None:
-        notice(f"tracker: {name}; choose another with --tracker")
-    return options.valued(tw.build(name, folders, given.free_height, given.side))
-
-
 def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: TuneOptions, begin: Begin) -> int:
     """Fits to the first `count` recordings, the others held out, writes all files and prints the table; exit code."""
-    started, named = monotonic(), tracker_for_folders(folders, options)
+    started, named = monotonic(), options.numbers.build(chosen_tracker(folders, options.numbers), [*folders])
     training, held_out = folders[:count], folders[count:]
-    data = fit_data(named.only_batch(folders), options.objective, held_out, dimensions=options.dimensions)
+    data = fit_data(named.only_batch(folders), options.objective, held_out)
     result = _fit(data, options, begin)
     begin("leaving out recordings")
     shown = held_out or training
@@ -64,16 +55,16 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
     calibrated = None if used.calibration is None else identity(used.calibration)
     content = compared.content() | tuned_content(named.name, objective, result, intervals, calibrated)
     tw.write_tuned(out / "tuned.toml", content)
-    written = ["trace.csv", *_write_trace(data, result, objective, options), "manifest.json"]
-    lines = [
-        *([] if result.uncertainty is None else result.cautions),
-        *without_intervals(result.uncertainty, intervals),
-    ]
+    components, values = numbers.component_names(result.parameters), pages.traces_of(result)[0]
+    trace = {objective: values.objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
+    trace |= dict(zip(components, values.values.T, strict=True))
+    atomic_write(out / "trace.csv", pl.DataFrame(trace).write_csv)
+    lines = [] if result.uncertainty is None else [*result.cautions]
+    lines += without_intervals(result.uncertainty, intervals)
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
-    use += "" if used.calibration is None else f" --calibration {used.calibration}"
+    use += f" --calibration {used.calibration}" * (used.calibration is not None)
     use += "" if used.average is None else f" --average {used.average:g}"
     if options.figures != "none":
-        written.insert(0, "report.html")
         notes = [f"{result.n_excluded} of {len(data.training)} segments were excluded."] if result.n_excluded else []
         if held_out:
             notes.append("The held-out recordings were used to select the best point and to stop the fit.")
@@ -84,11 +75,13 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
         write_page(out / "report.html", page)
     paths = [str(folder.path) for folder in training]
     write_manifest(out, tracker=named.name, recordings=paths, filter_runs=result.filter_runs)
-    print(_table(result, objective, intervals))
+    print(sections_text([pages.parameters_section(pages.tuned_parameters(result, intervals, issues))], 120), end="")
+    print(f"{objective}: {result.start_value:.5g} -> {result.value:.5g}")
     for text in (*(issue.text for issue in issues), *lines):
         print(f"notice: {text}")
     print(compared.text(), end="")
-    print(f"wrote {out / 'tuned.toml'}, {', '.join(written)}; use it: {use}")
+    page = ", report.html" * (options.figures != "none")
+    print(f"wrote {out / 'tuned.toml'}{page}, trace.csv, manifest.json; use it: {use}")
     if result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
         return INTERRUPTED
@@ -98,8 +91,7 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
 def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
     """The fit, with a checkpoint after every step."""
     if options.objective is None:
-        why = "truth" if data.objective.needs_truth else "no truth that the estimates can be judged by"
-        notice(f"objective: {data.named}, since there is {why}; choose another with --objective")
+        notice(f"objective: {data.named}, by the truth there is; choose another with --objective")
     if data.unused:
         notice(f"notice: without truth, and not used: {listed(data.unused)}")
     tune = options.tune or numbers.tuned_by_default(data.tracker, data.objective.needs_truth)
@@ -118,49 +110,26 @@ def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
         frozen=options.freeze, bounds=bounds, steps=options.steps, starts=options.starts, prior=options.prior
     )
     begin("searching for starts" if options.starts > 1 else "first evaluation")
-    depends, place = {"options": options.settings(resume=False, figures="page")}, Progress(report=report, stage=begin)
+    depends, place = {"options": settings(options, resume=False, figures="page")}, Progress(report=report, stage=begin)
     out, say = output_folder(options.out), lambda line: notices([line])
     return kept_fit(data, tune, how, place, out, depends, options.resume, say)
 
 
-def _write_trace(data: FitData, result: tw.FitResult, objective: str, options: TuneOptions) -> list[str]:
-    """Writes the table of the steps and, where asked for, its figures; returns the names of these."""
-    traces, names = pages.traces_of(result), numbers.component_names(result.parameters)
-    columns = {objective: traces[0].objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
-    columns |= dict(zip(names, traces[0].values.T, strict=True))
-    atomic_write(options.out / "trace.csv", pl.DataFrame(columns).write_csv)
-    figure = file_format(options.figures)
-    if figure is None:
-        return []
-    from trackwright.experiments.pages.chart import write_charts
-
-    return write_charts(options.out, [pages.objective_chart(traces, pages.objective_words(data, objective))], figure)
-
-
-def _table(result: tw.FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:
-    """A table of the tuned parameters, and a line on the objective before and after."""
-    rows = [("tunable", "before", "after", "95 % interval", "unit")]
-    for p in pages.tuned_parameters(result, intervals):
-        interval = f"{p.low:.4g} to {p.high:.4g}" if np.isfinite(p.low) else "-"
-        rows.append((p.name, f"{p.before:.4g}", f"{p.after:.4g}", interval, "" if p.unit == "1" else p.unit))
-    return f"{aligned(rows)}\n{objective}: {result.start_value:.5g} -> {result.value:.5g}"
-
-
-def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, begin: Begin) -> int:
-    """Evaluates the objective on the grid, writes all files and prints the best point; the exit code."""
-    started, objective, grids, out = monotonic(), options.objective, options.grids, options.out
-    named = tracker_for_folders(folders, options)
+def sweep_folders(
+    folders: Sequence[tw.RecordingFolder], grids: Mapping[str, np.ndarray], objective: str, numbers: Numbers, out: Path,
+    begin: Begin,
+) -> None:  # fmt: skip
+    """Evaluates the objective on the grid, writes all files and prints the best point."""
+    started, named = monotonic(), numbers.build(chosen_tracker(folders, numbers), [*folders])
     group = named.only_batch(folders)
-    data = fit_data(group, objective, dimensions=options.dimensions)
+    data = fit_data(group, objective, dimensions=2)
     try:
         points = grid_vectors(swept_parameters(group.tracker, list(grids)), list(grids.values()))
     except ValueError as error:
-        hint = "; start the grid at a small positive value" if "is positive" in str(error) else ""
-        raise tw.UnusableInput(f"--over {' --over '.join(options.over)}: {error}{hint}") from error
+        raise tw.UnusableInput(f"--over {' --over '.join(grids)}: {error}") from error
     output_folder(out)
     advance = begin("grid point", len(points) * (REPEATS if is_stochastic(group.tracker) else 1))
     swept = tw.sweep(group.tracker, data.batches(), data.objective, grids, REPEATS, advance, data.weights())
-    begin("figure")
     if not np.isfinite(swept.mean).any():
         raise tw.UnusableInput("the objective is not finite at any grid point; see `trackwright check` on recordings")
     atomic_write(out / "sweep.csv", swept.to_polars(objective).write_csv)
@@ -170,4 +139,3 @@ def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, 
     print(swept.text(objective, unit if objective == "rmse" else ""))
     print(f"{swept.filter_runs} trajectories filtered in {monotonic() - started:.1f} s")
     print(f"wrote {out / 'sweep.csv'}, sweep.png and manifest.json")
-    return 0

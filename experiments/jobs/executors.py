@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import itertools
 import logging
 import os
 import pickle
 import platform
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
@@ -79,18 +78,13 @@ def require_same(expected: Mapping[str, Any], actual: Any, worker: str) -> None:
 
 
 class Threads(ThreadPoolExecutor):
-    """As many threads of this process as the host computes in parallel; `at_once`: parts that they are given at a time.
-    `devices`: each thread computes on one of these; none: where jax would."""
+    """As many threads of this process as the host computes in parallel; `at_once`: parts given to them at a time."""
 
-    def __init__(self, devices: Sequence[Any] = ()) -> None:
-        import jax
-
+    def __init__(self) -> None:
         from trackwright.trackers.core.run.chunks import n_workers
 
-        threads = n_workers() * len(devices) // jax.local_device_count() if devices else n_workers()
-        free = itertools.cycle(devices or [None])
-        super().__init__(threads, initializer=lambda: jax.default_device(next(free)).__enter__())
-        self.at_once = 2 * threads
+        super().__init__(n_workers())
+        self.at_once = 2 * n_workers()
 
 
 @contextmanager
@@ -111,6 +105,7 @@ def cluster_executor(cluster: str) -> Iterator[WorkerExecutor]:
     # The deaths and reconnections that Dask reports are handled: their parts run elsewhere.
     for name in ("distributed", "distributed.client", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
+    lost = CancelledError, distributed.CancelledError, distributed.comm.CommClosedError, distributed.KilledWorker
     expected = environment()
     try:
         with _client(distributed, cluster, int(local[1]) if local else None) as client:
@@ -121,12 +116,9 @@ def cluster_executor(cluster: str) -> Iterator[WorkerExecutor]:
                 require_same(expected, actual, f"worker {address}")
             workers = len(client.nthreads())
             yield WorkerExecutor(client.get_executor(pure=False), expected, max(AT_ONCE, workers + workers // 4))
-    except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
-        fix = "see that it runs, then run the command again"
-        raise UnusableInput(f"--cluster {cluster}: the scheduler was lost, or the network to it; {fix}") from error
-    except distributed.KilledWorker as error:
-        fix = "expected enough memory for one part a worker; see the workers' logs"
-        raise UnusableInput(f"--cluster {cluster}: workers ended while they computed the same part; {fix}") from error
+    except lost as error:
+        why = f"the scheduler was lost, or workers ended while they computed ({type(error).__name__})"
+        raise UnusableInput(f"--cluster {cluster}: {why}; see their logs, then run the command again") from error
 
 
 @contextmanager
@@ -176,19 +168,8 @@ def computed(expected: Mapping[str, Any], call: bytes) -> Any:
 
 
 def _prepared(flags: str) -> dict[str, Any]:
-    """In a worker: its environment, with these XLA flags where jax is not imported yet; freed memory and compiled
-    programs are kept."""
+    """In a worker: its environment, with these XLA flags where jax is not imported yet; freed memory is kept."""
     keep()
     if "jax" not in sys.modules:
         os.environ["XLA_FLAGS"] = flags
-    _keep_programs()
     return environment()
-
-
-@functools.cache
-def _keep_programs() -> None:
-    """Keep compiled programs in the worker's cache directory, where it has one of its own."""
-    from trackwright.trackers.programs.program_cache import cache_programs
-
-    with suppress(UnusableInput):
-        cache_programs(report=lambda line: None)

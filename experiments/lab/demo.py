@@ -38,7 +38,7 @@ def demo() -> None:
     start = OUT / "wrong-start.toml"
     start.write_text(WRONG_START, encoding="utf-8")
     tune = ("--tune", "motion.sigma_a", "tied:sensors.*.sigma_p")
-    command("tune", short, "--objective", "nll", *tune, "--start", start, "--steps", "40", "--out", OUT / "tuned")
+    command("tune", short, "--objective", "nll", *tune, "--noise", start, "--steps", "40", "--out", OUT / "tuned")
 
     recordings = recordings_folder()
     walk = None if recordings is None or not (recordings / WALK).is_dir() else recordings / WALK

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
-from trackwright.experiments.monte_carlo.tracked import TrackedChunk
+from trackwright.experiments.monte_carlo.tracked import TrackedRuns, scored, tracked_runs
+from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
@@ -34,20 +35,18 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     results = []
     for name, config in study.trackers.items():
         batches = prepared[name]
-        tracked, seconds = _track(batches, ids, study, config)
-        arrays = tracked.scored()
-        if study.measures:
-            runs = tracked.runs(0, len(ids))
-            for measure, function in study.measures.items():
-                values = arrays[f"measure {measure}"] = np.asarray(function(runs), float)
-                if values.shape != ids.shape:
-                    found = f"measure '{measure}' returns shape {values.shape}; expected {ids.shape}"
-                    raise UnusableInput(f"study '{study.name}': {found}, one number for each trajectory")
+        runs, seconds = _track(batches, ids, study, config)
+        arrays = scored(runs)
+        for measure, function in study.measures.items():
+            values = arrays[f"measure {measure}"] = np.asarray(function(runs), float)
+            if values.shape != ids.shape:
+                found = f"measure '{measure}' returns shape {values.shape}; expected {ids.shape}"
+                raise UnusableInput(f"study '{study.name}': {found}, one number for each trajectory")
         if first:
             if "us_per_row" in study.metrics:
                 # A second run: the first one also compiled.
                 seconds = _track(batches, ids, study, config)[1]
-                arrays["us_per_row"] = np.array(1e6 * seconds / max(tracked.count, 1))
+                arrays["us_per_row"] = np.array(1e6 * seconds / max(np.sum(runs.status != Status.PADDING), 1))
             if any(metric.startswith("bound") for metric in study.metrics):
                 arrays["bounds"] = _bounds(batches)
         results.append(arrays)
@@ -61,8 +60,8 @@ def require_fitting_parts(study: Study) -> None:
 
 
 def _prepared(study: Study, condition: Condition, ids: np.ndarray) -> dict[str, list[TrackerBatch]]:
-    """The batches of every tracker, with the values of its own and of the grid, for a simulated recording of the
-    trajectories with these ids. Raises UnusableInput for a name in the grid that matches no tunable of any tracker."""
+    """The batches of every tracker of the simulated trajectories with these ids, with the values of its own and of the
+    grid. Raises UnusableInput for a name in the grid that matches no tunable of any tracker."""
     where = f"study '{study.name}'"
     try:
         folder = study.worlds[condition.world].make(ids, study.seed, **study.numbers(condition))
@@ -91,7 +90,7 @@ def _prepared(study: Study, condition: Condition, ids: np.ndarray) -> dict[str, 
 
 def _track(
     batches: list[TrackerBatch], ids: np.ndarray, study: Study, config: TrackerConfig
-) -> tuple[TrackedChunk, float]:
+) -> tuple[TrackedRuns, float]:
     """The estimates of all trajectories, and the computing time of the trackers, s."""
     tracked, seconds = [], 0.0
     for batch in batches:
@@ -105,7 +104,7 @@ def _track(
         began = time.perf_counter()
         tracked.append((trajectories, batch.tracker.run(whole, study.chunk)))
         seconds += time.perf_counter() - began
-    return TrackedChunk(ids, tracked, all(batch.planar for batch in batches), config.every), seconds
+    return tracked_runs(ids, tracked, all(batch.planar for batch in batches), config.every), seconds
 
 
 def _bounds(batches: list[TrackerBatch]) -> np.ndarray:

@@ -15,9 +15,8 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.monte_carlo.declaration import Condition, Study
-from trackwright.experiments.monte_carlo.errors import BIN_WIDTH, BINS, EDGES
+from trackwright.experiments.monte_carlo.tracked import BIN_WIDTH, BINS, EDGES
 from trackwright.experiments.text.expectations import Value
-from trackwright.trackers.core.errors import listed
 from trackwright.trackers.evaluation.metrics import METRICS, QUANTILES, metrics
 from trackwright.trackers.recordings.columns import float_column
 
@@ -73,10 +72,10 @@ NAMES = (*METRICS, *CONSTANT)
 
 
 class Results:
-    """Metrics of a finished study. `totals`: by condition and tracker; `runs`: number of trajectories by condition."""
+    """Metrics of a finished study. `totals`: by condition and tracker."""
 
-    def __init__(self, study: Study, totals: Mapping[tuple[int, str], Totals], runs: Mapping[int, int]):
-        self.study, self.totals, self.runs = study, totals, runs
+    def __init__(self, study: Study, totals: Mapping[tuple[int, str], Totals]):
+        self.study, self.totals = study, totals
         self._metrics: dict[tuple[int, str], dict[str, tuple[Any, np.ndarray]]] = {}
 
     def value(self, metric: str, world: str, tracker: str, **point: Any) -> Value:
@@ -117,17 +116,6 @@ class Results:
         """Computing time of all chunks, over all runs, machines and devices."""
         return sum(totals.seconds for totals in self.totals.values())
 
-    def without_bound(self) -> str:
-        """Which trackers have no Cramér–Rao bound, and why; empty where none is asked for or all have one."""
-        conditions, trackers = self.study.conditions, self.study.trackers
-        without = [t for t in trackers if all(np.isnan(self.totals[c.index, t].bounds[0]) for c in conditions)]
-        if not without or not any(metric.startswith("bound") for metric in self.study.metrics):
-            return ""
-        return (
-            f"No bound of {listed(without)}: only extended Kalman filters whose state is position and velocity, "
-            "without biases or a latency, have one; judge others by NEES."
-        )
-
     def numbers(self, measure: str, world: str, tracker: str, **point: Any) -> np.ndarray:
         """A measure's numbers (n,), one per trajectory."""
         return self.totals[self.study.condition(world, **point).index, tracker].measures[measure]
@@ -143,7 +131,7 @@ class Results:
         if metric in CONSTANT:
             value = totals.us_per_row if metric == "us_per_row" else totals.bounds[int(metric == "bound_3d_m")]
             return value, np.full(REPLICATES, value)
-        weights = resampled(self.study.seed, min(self.runs[condition.index], BLOCKS))
+        weights = resampled(self.study.seed, totals.blocks)
         if metric in totals.measures:
             return _mean_of(totals.measures[metric], weights)
         if metric not in METRICS:

@@ -1,116 +1,189 @@
-"""Run a study's missing chunks, on all devices, up to a number of runs or until intervals are narrow enough."""
+"""Run a study: its missing chunks on threads or on workers, and its folder with a file for each finished one."""
 
 from __future__ import annotations
 
 import functools
-import re
+import io
+import json
 import time
-from collections.abc import Callable, Sequence
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
 from trackwright.experiments.jobs.executors import Threads
-from trackwright.experiments.jobs.store import run
+from trackwright.experiments.jobs.store import Store, run
 from trackwright.experiments.monte_carlo.chunk import require_fitting_parts, run_chunk
-from trackwright.experiments.monte_carlo.declaration import Condition, Study
-from trackwright.experiments.monte_carlo.results import NAMES, Results
-from trackwright.experiments.monte_carlo.sources import declared_again
-from trackwright.experiments.monte_carlo.store import IDENTITY, ChunkStore, Part, digest_of, packed
+from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig
+from trackwright.experiments.monte_carlo.results import Results, Totals
+from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.programs.program_cache import keep
+from trackwright.trackers.recordings.atomic import config_hash, json_text, write_whole
+from trackwright.trackers.recordings.input_file import file_bytes, read_arrays
 
-CHUNKS_PER_DEVICE = 4  # chunks for which another device is used: every device compiles the trackers again
+IDENTITY, CHUNKS = "study.json", "chunks"
+FORMAT = 4  # of the files of chunks; a folder with another format holds another study
+Part = tuple[int, int]  # a chunk: the index of its condition, and its number among the chunks of that
 Advance = Callable[..., None]
 """Progress: called with the number of finished chunks, and optionally the label of a condition."""
 
 
+def identity(study: Study) -> dict[str, Any]:
+    """Everything that the numbers of a study depend on: declaration, source file, chunk size, jaxlib and device."""
+    content = {
+        "study": study.name,
+        "format": FORMAT,
+        "worlds": {k: {"make": _named(w.make), "numbers": dict(w.numbers)} for k, w in study.worlds.items()},
+        "trackers": {k: _config(c) for k, c in study.trackers.items()},
+        "grid": {k: list(v) for k, v in study.grid.items()},
+        "seed": study.seed,
+        "chunk": study.chunk,
+        "measures": list(study.measures),
+        "kept of a first chunk": sorted({f for f in study.metrics if f.startswith("bound") or f == "us_per_row"}),
+        "file": config_hash({"text": study.source}) if study.source else None,
+        "jaxlib": version("jaxlib"),
+        "device": jax.devices()[0].device_kind,
+    }
+    plain: dict[str, Any] = json.loads(json_text(content))
+    return plain
+
+
+def digest_of(study: Study) -> str:
+    """The digest of a study's identity."""
+    return config_hash(identity(study))
+
+
+def _named(function: Callable[..., Any]) -> str:
+    inner = getattr(function, "func", function)
+    return f"{getattr(inner, '__module__', '')}.{getattr(inner, '__qualname__', type(inner).__name__)}"
+
+
+def _config(config: TrackerConfig) -> dict[str, Any]:
+    name = config.tracker if isinstance(config.tracker, str) else config.tracker.about
+    if isinstance(config.tracker, str) and (file := name.rpartition(":")[0]):
+        name += f" {config_hash({'text': Path(file).read_text('utf-8')})}"
+    rest = {"smooth": config.smooth, "free_height": config.free_height, "every": config.every}
+    return {"tracker": name, "tunables": dict(config.tunables), **rest}
+
+
 @dataclass(frozen=True)
-class StopRule:
-    """Stop a condition once the interval of `metric` is at most ± `half_width`, relative to its value."""
+class ChunkStore(Store[Part, bytes]):
+    """The folder with the finished chunks of a study; each file names the digest of the study's identity."""
 
-    metric: str
-    half_width: float
+    folder: Path
+    study: Study
 
-    @classmethod
-    def parse(cls, text: str, study: Study) -> StopRule:
-        """The rule of a text such as `rmse_m±1%`; raises UnusableInput for other texts."""
-        match = re.fullmatch(r"\s*(\w+)\s*(?:±|\+-|\+/-)\s*([0-9.]+)\s*%\s*", text)
-        known = (*NAMES, *study.measures)
-        if match is None or match[1] not in known or not 0 < float(match[2]) < 100:
-            fix = f'expected a metric and a width, as "rmse_m±1%"; metrics: {", ".join(known)}'
-            raise UnusableInput(f'--until "{text}": {fix}')
-        return cls(match[1], float(match[2]) / 100)
+    def open(self) -> ChunkStore:
+        """Create the folder if need be; raises UnusableInput where it holds another study or cannot be written."""
+        path, current, stored = self.folder / IDENTITY, identity(self.study), None
+        try:
+            stored = json.loads(file_bytes(path))
+        except FileNotFoundError:
+            write_whole(path, json_text(current))
+        except (OSError, ValueError, RecursionError) as error:
+            raise UnusableInput(f"{path}: cannot be read; expected the identity of a study; remove it") from error
+        stored = current if stored is None else stored if isinstance(stored, dict) else {}
+        for key in (key for key in current if stored.get(key) != current[key]):
+            found = f"{key}: {str(stored.get(key))[:60]}, not {str(current[key])[:60]}"
+            raise UnusableInput(f"{path}: the folder holds another study ({found}); choose another --out, or remove it")
+        # Also where no chunk is missing, and none will be written.
+        return self
 
-    def reached(self, results: Results, condition: Condition) -> bool:
-        """Whether the interval is narrow enough for every tracker that has the metric, and one has it."""
-        values = [results.at(self.metric, condition, tracker) for tracker in results.study.trackers]
-        known = [v for v in values if np.isfinite(v.value)]
-        return bool(known) and all(v.high - v.low <= 2 * self.half_width * abs(v.value) for v in known)
+    @cached_property
+    def _digest(self) -> bytes:
+        return digest_of(self.study).encode()
+
+    def path(self, part: Part) -> Path:
+        """The file of a chunk."""
+        return self.folder / CHUNKS / f"{part[0]:04d}-{part[1]:06d}.npz"
+
+    def read(self, item: Part) -> Path:
+        """As `Store`: the file of a chunk, of this study and with its end."""
+        with zipfile.ZipFile(self.path(item)) as chunk:
+            if chunk.comment != self._digest:
+                raise LookupError("of another study")
+        return self.path(item)
+
+    def files(self, item: Part, result: bytes) -> dict[Path, bytes]:
+        """As `Store`: the `packed` content of a chunk, with the digest of the study."""
+        file = io.BytesIO(result)
+        with zipfile.ZipFile(file, "a") as chunk:
+            chunk.comment = self._digest
+        return {self.path(item): file.getvalue()}
+
+    def results(self) -> Results:
+        """The results of the stored chunks."""
+        study, pairs = self.study, [(c.index, name) for c in self.study.conditions for name in self.study.trackers]
+        totals = {pair: Totals(study.runs) for pair in pairs}
+        for part in ((condition.index, k) for condition in study.conditions for k in range(study.chunks)):
+            try:
+                arrays = read_arrays(self.path(part))
+                for k, name in enumerate(study.trackers):
+                    of_tracker = {n.partition("/")[2]: x for n, x in arrays.items() if n.startswith(f"{k}/")}
+                    totals[part[0], name].add(part[1] * study.chunk, of_tracker)
+            except (ValueError, LookupError, TypeError) as error:
+                path = self.path(part)
+                raise UnusableInput(f"{path}: not a chunk of a study; remove it and run the study again") from error
+        return Results(study, totals)
+
+
+def packed(trackers: Sequence[Mapping[str, np.ndarray]]) -> bytes:
+    """The content of a chunk's file, packed where it is computed: the caller stores the chunks of all workers."""
+    file, arrays = io.BytesIO(), {f"{k}/{name}": x for k, of in enumerate(trackers) for name, x in of.items()}
+    np.savez_compressed(file, allow_pickle=False, **arrays)
+    return file.getvalue()
 
 
 def run_study(
-    study: Study, folder: Path, until: StopRule | None = None, advance: Advance = lambda *_: None,
-    executor: Executor | None = None,
-) -> Results:  # fmt: skip
-    """Run the missing chunks of a study; its results. `until` is tested after 1, 2, 4, 8 … chunks of a condition.
-    `executor`: default: threads. Raises UnusableInput for a folder of another study."""
+    study: Study, folder: Path, advance: Advance = lambda *_: None, executor: Executor | None = None
+) -> Results:
+    """Run the missing chunks of a study, on the executor or as many in parallel as the host allows; its results.
+    Raises UnusableInput for a folder of another study."""
     if not (folder / IDENTITY).exists():
         require_fitting_parts(study)
     store = ChunkStore(folder, study).open()
-    if until is None:
-        parts = [(condition.index, k) for condition in study.conditions for k in range(study.chunks)]
-        run_missing(store, parts, advance, executor)
-        return store.results({condition.index: study.runs for condition in study.conditions})
-    return store.results({c.index: _run_until(store, c, until, advance, executor) for c in study.conditions})
-
-
-def _run_until(
-    store: ChunkStore, condition: Condition, until: StopRule, advance: Advance, executor: Executor | None
-) -> int:
-    """Run chunks of the condition until the rule holds or none is left; the number of runs."""
-    study, enough, done = store.study, 1, 0
-    while True:
-        wanted = min(enough, study.chunks)
-        run_missing(store, [(condition.index, k) for k in range(done, wanted)], advance, executor)
-        runs, done = min(enough * study.chunk, study.runs), wanted
-        if runs == study.runs or until.reached(store.results({condition.index: runs}), condition):
-            advance(study.chunks - wanted)
-            return runs
-        enough *= 2
-
-
-def run_missing(
-    store: ChunkStore, parts: Sequence[Part], advance: Advance = lambda *_: None, executor: Executor | None = None
-) -> None:
-    """Run the chunks that are not in the store, on the executor or as many in parallel as the host allows."""
-    study, missing = store.study, store.missing(parts)
-    advance(len(parts) - len(missing))
-    if not missing:
-        return
+    parts = [(condition.index, k) for condition in study.conditions for k in range(study.chunks)]
     labels = [condition.label for condition in study.conditions]
 
     def each(part: Part, kept: object) -> None:
         advance(1, labels[part[0]])
 
-    if executor is not None:
-        if not study.declared_in:
-            fix = "expected one loaded from a file, from which other processes build it"
-            raise UnusableInput(f"study '{study.name}': built in memory; {fix}")
-        declared = study.declared_in, study.runs, study.seed, digest_of(study)
-        run(missing, functools.partial(_declared_chunk, *declared), store, executor, each)
-        return
-    keep()
-    with Threads(jax.local_devices()[: max(1, len(missing) // CHUNKS_PER_DEVICE)]) as threads:
-        run(missing, functools.partial(packed_chunk, study), store, threads, each)
+    if executor is None:
+        keep()
+        with Threads() as threads:
+            run(parts, functools.partial(packed_chunk, study), store, threads, each)
+        return store.results()
+    if not study.declared_in:
+        raise UnusableInput(f"study '{study.name}': built in memory; expected one loaded from a file, as workers do it")
+    declared = study.declared_in, study.runs, study.seed, digest_of(study)
+    run(parts, functools.partial(_declared_chunk, *declared), store, executor, each)
+    return store.results()
+
+
+@functools.lru_cache(maxsize=4)
+def _declared(what: str, runs: int, seed: int, digest: str) -> Study:
+    """In a worker: the study of a name or file, with its numbers; kept, since its programs are compiled.
+
+    Raises UnusableInput where its `digest` is another one: changed in memory, or another file at this place.
+    """
+    study = load_study(what, runs, seed)
+    if digest_of(study) != digest:
+        fix = "expected the caller's files at the same places, and no change in memory; write the change to the file"
+        raise UnusableInput(f"study '{study.name}': a worker has another declaration of {what}; {fix}")
+    return study
 
 
 def _declared_chunk(what: str, runs: int, seed: int, digest: str, part: Part) -> bytes:
     """In a worker: the content of a chunk's file, of a study by its name or file."""
-    return packed_chunk(declared_again(what, runs, seed, digest), part)
+    return packed_chunk(_declared(what, runs, seed, digest), part)
 
 
 def packed_chunk(study: Study, part: Part) -> bytes:

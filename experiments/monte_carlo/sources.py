@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import importlib
 import pkgutil
 from collections.abc import Iterator, Mapping
@@ -14,10 +13,9 @@ from typing import Any, ClassVar
 from pydantic import StrictBool, StrictFloat, StrictInt, StrictStr
 
 from trackwright.experiments.monte_carlo.declaration import DEFAULT_METRICS, Study, TrackerConfig, World, checked
-from trackwright.experiments.monte_carlo.store import digest_of
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput, listed, near
-from trackwright.trackers.core.user_file import fault_of, run_file
+from trackwright.trackers.core.user_file import from_file
 from trackwright.trackers.recordings.input_file import read_model
 
 PAPERS = "trackwright.experiments.lab.papers"  # in whose folders studies are looked for by name
@@ -68,9 +66,11 @@ def _modules_in(package: str) -> Iterator[pkgutil.ModuleInfo]:
     return pkgutil.iter_modules(importlib.import_module(package).__path__, f"{package}.")
 
 
-def load_study(what: str) -> Study:
-    """The study of a name or file; raises UnusableInput."""
-    return checked(dataclasses.replace(_declared(what), declared_in=what))
+def load_study(what: str, runs: int | None = None, seed: int | None = None) -> Study:
+    """The study of a name or file, with its own numbers or these; raises UnusableInput."""
+    study = _declared(what)
+    runs, seed = study.runs if runs is None else runs, study.seed if seed is None else seed
+    return checked(dataclasses.replace(study, declared_in=what, runs=runs, seed=seed))
 
 
 def _declared(what: str) -> Study:
@@ -78,33 +78,15 @@ def _declared(what: str) -> Study:
     if path.suffix == ".toml":
         return _from_toml(path)
     if path.suffix == ".py":
-        return _from_python(path)
-    modules = _modules()
-    if what not in modules:
-        known = f"expected a .toml or .py file or one of {', '.join(sorted(modules))}"
-        raise UnusableInput(f"study '{what}': unknown{near(what, sorted(modules))}; {known}")
-    module = importlib.import_module(modules[what])
-    return _with_source(module, Path(str(module.__file__)))
-
-
-def _with_source(module: Any, path: Path) -> Study:
-    study = getattr(module, "STUDY", None)
-    if not isinstance(study, Study):
-        words = "expected `STUDY = Study(...)` of trackwright.experiments.monte_carlo"
-        raise UnusableInput(f"{path}: no STUDY found; {words}")
+        study = from_file(f"{path}:STUDY", "study", "Study", lambda x: isinstance(x, Study))
+    else:
+        modules = _modules()
+        if what not in modules:
+            known = f"expected a .toml or .py file or one of {', '.join(sorted(modules))}"
+            raise UnusableInput(f"study '{what}': unknown{near(what, sorted(modules))}; {known}")
+        module = importlib.import_module(modules[what])
+        study, path = module.STUDY, Path(str(module.__file__))
     return dataclasses.replace(study, source=path.read_text("utf-8"))
-
-
-def _from_python(path: Path) -> Study:
-    if not path.is_file():
-        raise UnusableInput(f"{path}: no such file; expected a Python file with `STUDY = Study(...)`")
-    try:
-        module = run_file(path, f"trackwright_study_{path.stem}")
-    except UnusableInput:
-        raise
-    except Exception as error:
-        raise UnusableInput(f"{path}: raises {fault_of(error, path)}; correct the file") from error
-    return _with_source(module, path)
 
 
 def _from_toml(path: Path) -> Study:
@@ -120,21 +102,6 @@ def _from_toml(path: Path) -> Study:
 
 def _world(where: str, name: str, table: Mapping[str, Any]) -> World:
     kind = table.get("kind", name)
-    if "world" in table:
-        raise UnusableInput(f"{where}.world is unknown; the world is kind = {table['world']!r}; rename the key")
     if not isinstance(kind, str) or kind not in WORLDS:
         raise UnusableInput(f"{where}: kind '{kind}' is unknown; expected one of {', '.join(WORLDS)}")
     return World(WORLDS[kind], {k: v for k, v in table.items() if k != "kind"})
-
-
-@functools.lru_cache(maxsize=4)
-def declared_again(what: str, runs: int, seed: int, digest: str) -> Study:
-    """In a worker: the study of a name or file, with its numbers; kept, since its programs are compiled.
-
-    Raises UnusableInput where its `digest` is another one: changed in memory, or another file at this place.
-    """
-    study = checked(dataclasses.replace(load_study(what), runs=runs, seed=seed))
-    if digest_of(study) != digest:
-        fix = "expected the caller's files at the same places, and no change in memory; write the change to the file"
-        raise UnusableInput(f"study '{study.name}': a worker has another declaration of {what}; {fix}")
-    return study

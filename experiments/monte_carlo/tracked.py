@@ -1,4 +1,4 @@
-"""The estimates of a chunk beside their truth, for any part of its trajectories: the arrays that are scored."""
+"""A tracker's estimates beside their truth, as sums and histograms of each trajectory; metrics are as in `evaluate`."""
 
 from __future__ import annotations
 
@@ -6,102 +6,149 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import polars as pl
 
-from trackwright.experiments.monte_carlo.errors import TrackedRuns, joined, scored
+from trackwright.trackers.core.data.consistency import nees_of_leading, upper_entries
 from trackwright.trackers.core.data.estimates import Estimates, Status, is_usable
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.evaluation.metrics import terms_of
+from trackwright.trackers.evaluation.rows import ANGLES, AXES, bearing_sizes, position_sizes
 from trackwright.trackers.recordings.columns import TruthStatus
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import angles
 from trackwright.trackers.recordings.trajectories import Trajectories
 
-ROWS_AT_ONCE = 65_536  # rows that are scored together: their numbers fit the processor's cache
+SMALLEST, BIN_WIDTH, BINS = 1e-6, 0.02, 1201
+"""Bins from 1e-6 to 2.6e4 (m, rad or NEES), of relative width BIN_WIDTH; other values fall in the end bins."""
+
+EDGES = SMALLEST * np.exp(BIN_WIDTH * np.arange(BINS))
+"""Upper edges of the bins."""
 
 
-class Group(NamedTuple):
-    """Estimates of trajectories that one tracker ran, beside their rows. `number`, `station` (n,): of each trajectory,
-    the place of its id in the chunk and of its station among the chunk's. `rows` (n, T) s: the times of the rows;
-    `truth` (n, T, 3) m or (n, T, 2) rad and `known` (n, T), whether there is one, at the times for which the estimates
-    are valid."""
+class TrackedRuns(NamedTuple):
+    """A tracker's estimates of n trajectories of T rows beside their truth: the argument of a study's measures.
+    Positions: `times` (n, T) s, `estimates` and `truth` (n, T, 3) m, `covariance` (n, T, d, d) of the d estimated axes;
+    NaN without an estimate, and a known height filled in. Bearings have an axis of S stations: `estimates` and `truth`
+    (n, T, S, 2) rad, azimuth and elevation, `covariance` (n, T, S, 2, 2). `known`: rows with both truth and a usable
+    estimate. `status` (codes of `Status`), `nis`, `dof`: per row, and per station for bearings."""
 
-    trajectories: Trajectories
-    estimates: Estimates
-    number: np.ndarray
-    station: np.ndarray
-    rows: np.ndarray
+    times: np.ndarray
+    estimates: np.ndarray
+    covariance: np.ndarray
     truth: np.ndarray
     known: np.ndarray
-
-
-class TrackedChunk:
-    """The estimates of all trajectories of a chunk. `planar`: whether all positions are. `every`: the interval, s, in
-    which only a trajectory's last row is scored."""
-
-    def __init__(self, ids: np.ndarray, tracked: Sequence[tuple[Trajectories, Estimates]], planar: bool, every: Any):
-        if not tracked:
-            raise UnusableInput("the world has no tag to track; expected one for each id")
-        stations = sorted({station for trajectories, _ in tracked for station in trajectories.stations})
-        number = {str(k): at for at, k in enumerate(ids)}
-        self.groups = []
-        for trajectories, estimates in tracked:
-            rows = trajectories.columns.padded(trajectories.columns.times)
-            estimates = estimates[: len(trajectories)].rows(slice(0, rows.shape[1]))
-            both = zip(trajectories.tags, trajectories.stations, strict=True)
-            tag, station = np.array([(number[tag], stations.index(station)) for tag, station in both]).T
-            truth = _truth(trajectories, estimates, rows)
-            self.groups.append(Group(trajectories, estimates, tag, station, rows, *truth))
-        self.folder, self.every = self.groups[0].trajectories.folders[0], every
-        self.bearing, self.size, self.stations = bool(stations[0]), len(ids), len(stations)
-        self.axes = 2 if self.bearing or planar else 3
-        self.rows = max(group.rows.shape[1] for group in self.groups)
+    status: np.ndarray
+    nis: np.ndarray
+    dof: np.ndarray
+    folder: RecordingFolder
 
     @property
-    def count(self) -> int:
-        """The number of rows."""
-        return sum(int((group.estimates.status != Status.PADDING).sum()) for group in self.groups)
-
-    def scored(self) -> dict[str, np.ndarray]:
-        """The arrays of `errors.scored`, of as many trajectories at a time as fit the processor's cache."""
-        step = max(1, ROWS_AT_ONCE // (self.rows * self.stations))
-        firsts = range(0, self.size, step)
-        return joined([scored(self.runs(first, min(first + step, self.size))) for first in firsts])
-
-    def runs(self, first: int, stop: int) -> TrackedRuns:
-        """The trajectories `first` … `stop` − 1 of the chunk."""
-        shape, width = (stop - first, self.rows, self.stations), 2 if self.bearing else 3
-        times = np.full(shape[:2], np.nan)
-        # Each component is contiguous.
-        estimates, truth = (np.moveaxis(np.full((width, *shape), np.nan), 0, -1) for _ in range(2))
-        covariance = np.moveaxis(np.full((self.axes, self.axes, *shape), np.nan), (0, 1), (-2, -1))
-        known, status = np.zeros(shape, bool), np.full(shape, Status.PADDING, np.int8)
-        nis, dof = np.zeros(shape), np.zeros(shape)
-        for group in self.groups:
-            which = np.flatnonzero((group.number >= first) & (group.number < stop))
-            if not len(which):
-                continue
-            tag, station = group.number[which] - first, group.station[which]
-            own, rows, truth_known = group.estimates[which], group.rows[which], group.known[which]
-            at: Any = (tag, slice(0, rows.shape[1]), station)
-            times[at[:2]] = own.valid_times(rows)
-            status[at], nis[at], dof[at], truth[at] = own.status, own.nis, own.nis_dof, group.truth[which]
-            usable, position = own.usable, _position(group.trajectories, own, which)
-            for k, values in enumerate(position):
-                estimates[(*at, k)] = np.where(usable, values, np.nan)
-            entries = _covariance(self.bearing, own)
-            for i, j in np.ndindex(len(entries), len(entries)):
-                covariance[(*at, i, j)] = np.where(usable, entries[i][j], np.nan)
-            comparable = truth_known & usable & np.isfinite(position[0]) & np.isfinite(position[1])
-            known[at] = _scored_rows(own, rows, comparable, self.every)
-        runs = TrackedRuns(times, estimates, covariance, truth, known, status, nis, dof, self.folder)
-        return runs if self.bearing else runs.at_station(0)
+    def error(self) -> np.ndarray:
+        """Estimates less truth, m or rad; NaN for rows that are not scored."""
+        return np.where(self.known[..., None], self.estimates - self.truth, np.nan)
 
 
-def _position(trajectories: Trajectories, estimates: Estimates, which: Any) -> list[np.ndarray]:
+def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
+    """Arrays of n trajectories by name: each `sum` and `largest` (n,) as of `metrics.sums`, and of each kind a
+    histogram. The histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`. The rows of all stations
+    count as rows of their trajectory."""
+    n, bearing = len(tracked.estimates), tracked.estimates.ndim == 4
+    known, status = tracked.known.reshape(n, -1), tracked.status.reshape(n, -1)
+    there = status != Status.PADDING
+    if bearing:
+        error, sizes = bearing_sizes(tracked.estimates, tracked.truth)
+    else:
+        error = tracked.estimates - tracked.truth
+        sizes = position_sizes(error)
+    errors = np.where(known.reshape(-1, 1), error.reshape(known.size, -1), np.nan)
+    columns = {f"error_{name}": x for name, x in zip(ANGLES if bearing else AXES, errors.T, strict=True)}
+    columns |= {f"size_{kind}": np.where(known, x.reshape(known.shape), np.nan).ravel() for kind, x in sizes.items()}
+    d = tracked.covariance.shape[-1]
+    entries = upper_entries(tracked.covariance.reshape(known.size, d, d))
+    columns |= dict(zip(("nees", "nees_3d"), nees_of_leading(errors[:, :d], entries)[1:], strict=False))
+    columns["nis"] = np.where(there, tracked.nis.reshape(there.shape), np.nan).ravel()
+    columns |= {"nis_dof": tracked.dof.ravel(), "lost": (status == Status.LOST).ravel()}
+    columns["track"] = np.where(there, 0.0, np.nan).ravel()
+    rows = pl.DataFrame({name: pl.Series(x, nan_to_null=True) for name, x in columns.items()})
+    sums = {
+        term.name: term.cast(pl.Float64).fill_null(0.0).to_numpy().reshape(known.shape).sum(axis=1)
+        for term in terms_of(rows)
+    }
+    sums |= {
+        "n": known.sum(axis=1),
+        "diverged": np.isin(status, (Status.LOST, Status.RESTARTED, Status.NON_FINITE)).any(axis=1),
+        "failed": (status == Status.NON_FINITE).any(axis=1) | ~known.any(axis=1),
+        "trajectories": np.ones(n),
+    }
+    arrays = {f"sum {name}": x.astype(float) for name, x in sums.items()}
+    for kind in sizes:
+        size = columns[f"size_{kind}"].reshape(known.shape)
+        top = np.where(np.isnan(size), -1.0, size).max(axis=1)
+        arrays[f"largest {kind}"] = np.where(top < 0, np.nan, top)
+        arrays[f"cells {kind}"], arrays[f"counts {kind}"] = _histograms(size)
+    return arrays
+
+
+def _histograms(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A sparse (n, BINS) histogram of sizes (n, T), NaN left out: flat indices and their counts."""
+    there = ~np.isnan(size)
+    cells = np.bincount(np.broadcast_to(BINS * np.arange(len(size))[:, None], size.shape)[there] + bins(size[there]))
+    filled = np.flatnonzero(cells)
+    return filled, cells[filled]
+
+
+def bins(values: np.ndarray) -> np.ndarray:
+    """The bin number of each value."""
+    with np.errstate(divide="ignore"):
+        at = np.ceil(np.log(np.maximum(values, 0.0) / SMALLEST) / BIN_WIDTH)
+    return np.clip(at, 0, BINS - 1).astype(np.int64)
+
+
+def tracked_runs(
+    ids: np.ndarray, tracked: Sequence[tuple[Trajectories, Estimates]], planar: bool, every: float | None
+) -> TrackedRuns:
+    """The estimates of all trajectories of a chunk beside their truth. `planar`: whether all positions are. `every`: an
+    interval, s, in which only a trajectory's last row is scored."""
+    if not tracked:
+        raise UnusableInput("the world has no tag to track; expected one for each id")
+    stations = sorted({station for trajectories, _ in tracked for station in trajectories.stations})
+    number, bearing = {str(k): at for at, k in enumerate(ids)}, bool(stations[0])
+    times_of = [trajectories.columns.padded(trajectories.columns.times) for trajectories, _ in tracked]
+    shape, width = (len(ids), max(rows.shape[1] for rows in times_of), len(stations)), 2 if bearing else 3
+    times, axes = np.full(shape[:2], np.nan), 2 if bearing or planar else 3
+    # Each component is contiguous.
+    estimates, truth = (np.moveaxis(np.full((width, *shape), np.nan), 0, -1) for _ in range(2))
+    covariance = np.moveaxis(np.full((axes, axes, *shape), np.nan), (0, 1), (-2, -1))
+    known, status = np.zeros(shape, bool), np.full(shape, Status.PADDING, np.int8)
+    nis, dof = np.zeros(shape), np.zeros(shape)
+    for (trajectories, every_row), rows in zip(tracked, times_of, strict=True):
+        own = every_row[: len(trajectories)].rows(slice(0, rows.shape[1]))
+        both = zip(trajectories.tags, trajectories.stations, strict=True)
+        tag, station = np.array([(number[tag], stations.index(station)) for tag, station in both]).T
+        at: Any = (tag, slice(0, rows.shape[1]), station)
+        times[at[:2]] = own.valid_times(rows)
+        truth[at], truth_known = _truth(trajectories, own, rows)
+        status[at], nis[at], dof[at] = own.status, own.nis, own.nis_dof
+        usable, position = own.usable, _position(trajectories, own)
+        for k, values in enumerate(position):
+            estimates[(*at, k)] = np.where(usable, values, np.nan)
+        entries = _covariance(bearing, own)
+        for i, j in np.ndindex(len(entries), len(entries)):
+            covariance[(*at, i, j)] = np.where(usable, entries[i][j], np.nan)
+        comparable = truth_known & usable & np.isfinite(position[0]) & np.isfinite(position[1])
+        known[at] = _scored_rows(own, rows, comparable, every)
+    of_station = [estimates, covariance, truth, known, status, nis, dof]
+    folder = tracked[0][0].folders[0]
+    return TrackedRuns._make([times, *(x if bearing else x[:, :, 0] for x in of_station), folder])
+
+
+def _position(trajectories: Trajectories, estimates: Estimates) -> list[np.ndarray]:
     """Positions x, y, z, m, or azimuth and elevation, rad, (n, T) each."""
     if trajectories.stations[0]:
         angle = angles(estimates)
         return [angle["azimuth_rad"], angle["elevation_rad"]]
     axes = [np.asarray(x) for x in estimates.mean.position]
-    height = [np.broadcast_to(trajectories.heights[which, None], estimates.status.shape)] if len(axes) < 3 else []
+    height = [np.broadcast_to(trajectories.heights[:, None], estimates.status.shape)] if len(axes) < 3 else []
     return axes + height
 
 

@@ -42,7 +42,7 @@ def study_page(results: Results, expected: Sequence[Claim], command: Sequence[st
     sections = [
         *expected_sections(expected),
         Section("Chart", note="Bands and bars are 95 % intervals.", parts=[study_charts(results)]),
-        metrics._replace(note=f"{metrics.note} {results.without_bound()}".rstrip()),
+        metrics,
         Section("Settings", parts=[settings]),
     ]
     # A hyphen between numbers stays: "figures-6-7" are Figures 6-7.
@@ -54,7 +54,7 @@ def study_page(results: Results, expected: Sequence[Claim], command: Sequence[st
 def to_text(results: Results, expected: Sequence[Claim]) -> str:
     """The main metrics of every condition and tracker, and the expected results beside ours."""
     said = headline_of(expected) if expected else ""
-    return sections_text([metrics_section(results), *expected_sections(expected)], 160, results.without_bound(), said)
+    return sections_text([metrics_section(results), *expected_sections(expected)], 160, said)
 
 
 def study_charts(results: Results) -> list[Chart]:
@@ -118,8 +118,7 @@ def metrics_section(results: Results) -> Section:
         for c in study.conditions
         for t in study.trackers
     ]
-    runs = " to ".join(map(str, dict.fromkeys(f(results.runs.values()) for f in (min, max))))
-    note = f"{runs} trajectories per row, the same for all trackers. In brackets 95 % bootstrap intervals."
+    note = f"{study.runs} trajectories per row, the same for all trackers. In brackets 95 % bootstrap intervals."
     if any(metric.startswith("bound") for metric in study.metrics):
         note += " The bound is for the tracker's own noise levels, over the second half of the rows."
     head = ["world", "tracker", *(heading(metric, units[metric], "\u00a0") for metric in shown)]
@@ -166,7 +165,7 @@ def _cells(results: Results) -> Iterator[dict[str, Any]]:
     for c, tracker in ((c, tracker) for c in study.conditions for tracker in study.trackers):
         known = {n: v for n in names if (v := results.at(n, c, tracker)).value == v.value}
         compared = {n: results.compared(np.subtract, n, c, tracker, reference) for n in known if tracker != reference}
-        cell = {"world": c.world, "point": dict(c.point), "tracker": tracker, "runs": results.runs[c.index]}
+        cell = {"world": c.world, "point": dict(c.point), "tracker": tracker, "runs": study.runs}
         yield cell | {
             "figures": {n: v._asdict() for n, v in known.items()},
             f"less {reference}": {n: v._asdict() for n, v in compared.items() if v.value == v.value},

@@ -266,7 +266,7 @@ def tuning_page(
     }
     sections = [
         Section("Settings", parts=[settings, *notes]),
-        _parameters_section(parameters),
+        parameters_section(parameters),
         compared.section,
         Section("Optimisation", parts=[[objective_chart(traces_of(result), about)]]),
     ]
@@ -275,7 +275,8 @@ def tuning_page(
     return report_page("tuning report", title, [summary], sections, commands, foot, warnings)
 
 
-def _parameters_section(parameters: Sequence[TunedParameter]) -> Section:
+def parameters_section(parameters: Sequence[TunedParameter]) -> Section:
+    """The table of the tuned parameters."""
     lead = "No intervals: they require a likelihood or at least twenty trajectories, and a fit that converged."
     if any(p.determined is not None for p in parameters):
         lead = "Recordings say little on a parameter that is not determined, or whose interval spans a factor of ten."

@@ -18,6 +18,21 @@ from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.optimisation import Adam
 
 
+@pytest.mark.parametrize("table", ["bearings", "fixes", "ranges"])
+def test_a_table_that_stands_there_twice_has_an_autocorrelation_time(tmp_path, table):
+    write_good(tmp_path / "good")
+    once = trackwright("check", tmp_path / "good")
+    good = good_tables()[table]
+    pl.concat([good, good]).write_csv(tmp_path / "good" / f"{table}.csv")
+    twice = trackwright("check", tmp_path / "good")
+    assert twice.code == once.code
+
+    def correlated(text: str) -> list[str]:
+        return [line for line in text.splitlines() if line.startswith(f"info     {table}") and "correlated" in line]
+
+    assert correlated(twice.out) == correlated(once.out)
+
+
 def test_medians_of_columns_without_a_value_are_unknown_without_a_warning():
     x = np.array([[1.0, np.nan, 5.0], [3.0, np.nan, np.nan]])
     np.testing.assert_array_equal(known_median(x), [2.0, np.nan, 5.0])

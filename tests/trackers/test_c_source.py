@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
 import trackwright as tw
-from tests.in_process import assert_refused, trackwright
-from trackwright.trackers.c_source import c_source, rows_of
-from trackwright.trackers.recordings.folder import write_recording
+from trackwright.trackers.c_source import c_source, rows_of, write_c
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-DTAG_MAIN")
@@ -114,14 +111,11 @@ def test_a_tracker_that_draws_or_looks_back_is_refused(world, name):
         c_source(batch.tracker, batch.trajectories[0].recording)
 
 
-def test_the_command_writes_source_header_and_rows_that_main_replays(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_recording(tw.simulate.agv(2, 1, rows=60).folder(), Path("agv"))
-    said = trackwright("export", "agv", "--format", "c", "--tracker", "fix-kf", "--tag", "1", "--out", "tag.c")
-    assert said.code == 0, said.err
-    assert all(name in said.out for name in ("tag.c", "tag.h", "tag.csv"))
-    subprocess.run([COMPILERS[0], *FLAGS, "tag.c", "-o", "tag", "-lm"], check=True)
-    done = subprocess.run(["./tag"], input=Path("tag.csv").read_text(), capture_output=True, text=True, check=True)
+def test_source_header_and_rows_are_written_that_main_replays(tmp_path):
+    folder = tw.simulate.agv(1, 1, rows=60).folder()
+    written = write_c(tw.build("fix-kf", folder), folder, tmp_path / "tag.c")
+    assert [path.name for path in written] == ["tag.c", "tag.h", "tag.csv"]
+    subprocess.run([COMPILERS[0], *FLAGS, tmp_path / "tag.c", "-o", tmp_path / "tag", "-lm"], check=True)
+    rows = (tmp_path / "tag.csv").read_text()
+    done = subprocess.run([tmp_path / "tag"], input=rows, capture_output=True, text=True, check=True)
     assert len(done.stdout.splitlines()) == 60
-    again = trackwright("export", "agv", "--format", "c", "--out", "tag.c")
-    assert_refused(again, "exists; expected a new file")

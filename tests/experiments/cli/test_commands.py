@@ -70,18 +70,12 @@ def test_corruptions_are_in_the_recording_and_in_its_check(tmp_path):
     assert "stations never observed: 1 of 3 (2)" in trackwright("check", tmp_path / "bad").out
 
 
-def test_trackers_are_listed_with_their_tables_and_the_tunables_of_one(simulated):
+def test_trackers_are_listed_with_their_tables():
     said = trackwright("trackers")
-    named = [line.split()[0] for line in said.out.splitlines() if line[2:3].strip()]
+    named = [line.split()[0] for line in said.out.splitlines() if line[:1].strip()]
     assert sorted(named) == sorted(ENTRIES)
     assert max(map(len, said.out.splitlines())) <= 80
     assert all(entry.table in " ".join(said.out.split()) for entry in ENTRIES.values())
-    done = trackwright("trackers", "beam", simulated)
-    assert (done.code, done.err) == (0, "")
-    lines = {line.split()[0]: line for line in done.out.splitlines() if not line.startswith("   ")}
-    assert re.search(r"motion.sigma_a\*\s+\S+\s+rad/s\^2\S*\s+> 0$", lines["motion.sigma_a*"])
-    assert "8: " in lines["sensors.phases.offsets"]
-    assert not any(name.startswith("start.") and name.endswith("*") for name in lines)
 
 
 def test_docstrings_say_what_each_tunable_of_each_tracker_is():
@@ -128,17 +122,16 @@ def _figures(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["page", "pdf", "none"])
-def test_tune_writes_the_figures_and_the_page_that_are_asked_for(tmp_path, kind):
+@pytest.mark.parametrize("kind", ["page", "none"])
+def test_tune_writes_the_page_that_is_asked_for(tmp_path, kind):
     walks = [random_walk(tmp_path / name, k, 0.3, rows=60) for k, name in enumerate(("room", "other"))]
     fit = ("--tracker", "fix-kf", "--tune", "motion.sigma_a", "--steps", 1, "--starts", 1, "--figures", kind)
     done = trackwright("tune", walks[0], "--held-out", walks[1], *fit, "--out", tmp_path / "fit")
     assert done.code == 0, done
-    left = {"page": {"report.html"}, "pdf": {"report.html", "tuning.pdf", "tuning-motion.sigma_a.pdf"}, "none": set()}
     written = {path.name for path in (tmp_path / "fit").iterdir()}
-    assert written == {"tuned.toml", "trace.csv", "manifest.json", "checkpoint.npz"} | left[kind]
-    assert _figures(tmp_path / "fit") == left[kind]
-    if left[kind]:
+    left = {"report.html"} if kind == "page" else set()
+    assert written == {"tuned.toml", "trace.csv", "manifest.json", "checkpoint.npz"} | left
+    if left:
         page = (tmp_path / "fit" / "report.html").read_text("utf-8")
         assert re.findall(r'alt="Floor plan of (\w+), tag', page) == ["other", "room"]
 

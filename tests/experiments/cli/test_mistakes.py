@@ -33,8 +33,7 @@ MISTAKES = [
     ("track x --out out --from nan", "expected seconds"),
     ("track x --out", "--out requires an argument"),
     ("track x --out=", 'unable to convert "" into'),
-    ("trackers uwb b c", "Unused Tokens: ['c']"),
-    ("trackers uwb", "its tunables belong to an installation; give a recording FOLDER, too"),
+    ("trackers uwb", "Unused Tokens: ['uwb']"),
     ("simulate tool --out out --gap 3", "requires 2 positional arguments"),
     ("track x --out out --noise nowhere.toml", "nowhere.toml: cannot be read"),
     ("track x --out out --figures svg", 'Choose from: "none", "page", "png", "pdf"'),
@@ -43,9 +42,7 @@ MISTAKES = [
     ("tune {good} {copy} --out out", "both named 'good'", "rename"),
     ("track {good} --tracker kalman --out out", "tracker kalman: unknown", "direct, cascade, beam, das"),
     ("track {good} --tracker MHK --out out", "tracker MHK: unknown (did you mean mhk?)"),
-    ("track {good} --tracker mhk, --out out", "a name is empty; expected names with commas, without blanks"),
-    ("track {good} --tracker uwb,uwb --out out", "twice"),
-    ("track {good} --tracker a.py:T,b.py:T --out out", "twice"),
+    ("track {good} --tracker mhk,imm --out out", "found 2 names; expected one; `evaluate A B` compares"),
     ("track {good} --tracker trilateration --out out", "height_m in rig.toml for every tag, found none for T2"),
     ("track {simulated} --tracker beam --out {simulated}", "--out", "is a recording folder"),
     ("track {simulated} --tracker beam --out {file}", "choose another folder"),
@@ -56,7 +53,7 @@ MISTAKES = [
     ("track {fixes} --tracker floor-pf --out out", "floor-pf", "[floor]", "walls_m or outline_m"),
     ("track {fixes} --tracker fix-mirror --out out", "fix-mirror", "at least 3 anchors"),
     ("track {fixes} --calibration {file} --out out", "no format, expected the calibration.toml"),
-    ("tune {good} --tracker mhk,imm --out out", "found 2 names; expected one; `track` compares several"),
+    ("tune {good} --tracker mhk,imm --out out", "found 2 names; expected one"),
     ("tune {good} --tracker bearings --out out", "2 different 'bearings' trackers", "free_height"),
     ("tune {simulated} --tracker das --out out", "no noise level of motion or sensors to tune", "no tunable"),
     ("tune {blind} --tracker fix-kf --objective rmse --out out", "objective rmse needs truth", "nll"),
@@ -80,8 +77,8 @@ MISTAKES = [
     ("sweep x --out out --over a=0:1:5:log", "expected START above zero"),
     (SWEEP + "0.1:1:1", "expected PATTERN", "COUNT at least 2"),
     (SWEEP + "1:0.1:5", "expected PATTERN", "START below STOP"),
-    (SWEEP + "-0.1:1:5", "a Scale is positive", "-0.1", "small positive value"),
-    (SWEEP + "0:1:101", "a Scale is positive", "left out", "small positive value"),
+    (SWEEP + "-0.1:1:5", "a Scale is positive", "-0.1"),
+    (SWEEP + "0:1:101", "a Scale is positive"),
     (SWEEP + "0.1:inf:3", "expected PATTERN=START:STOP:COUNT"),
     (SWEEP + "1:2:3 --over motion.sigma_a=1:2:3 --over a=1:2:3", "3 times", "once, or twice"),
     (SWEEP + "1:2:3 --over sensors.fixes.sigma_horizontal=1:2:3", "twice for different patterns"),
@@ -94,22 +91,21 @@ MISTAKES = [
     ("evaluate {tracked} --truth {simulated}", "the tracks are of recording good, the truth is of simulated-hand-0"),
     ("evaluate {tracked} --truth {blind}", "no truth table"),
     (POSES, "names no tag", "T1, T2", "--tag"),
-    (POSES + "--tag T9", "the truth has T1, T2", "give one by --tag"),
+    (POSES + "--tag T9", "the truth has T1, T2", "give one of these", "--tag"),
     (POSES + "--tag T1 --time-offset 900", "no pose lies within", "both begin together"),
-    (POSES + "--tag T1 --time-offset -0.17", "no pose lies within 0.01 s of a true one"),
+    (POSES + "--tag T1 --time-offset -0.17", "half of the poses have a true one within 0.03 s"),
     (POSES + "--tag T1 --rpe 5km", "such as 1m"),
-    ("evaluate {tum}", "--truth: found none"),
-    ("evaluate {tum} --truth nowhere.tum", "--truth: found nowhere.tum", "or one trajectory file, that exist"),
+    ("evaluate {tum}", "no --truth"),
+    ("evaluate {tum} --truth nowhere.tum", "--truth nowhere.tum: does not exist", "or a trajectory file"),
     ("calibrate {good} --out {file}", "expected a file with the ending .toml"),
     ("calibrate {good} --out {good}/c.toml", "is a recording folder"),
     ("calibrate {blind} --out out/c.toml", "no truth table; expected truth to calibrate against"),
-    ("export {tracked} --format tum --tag x --out out", "expected tags among T1, T2"),
+    ("export {tracked} --format tum --tag x --out out", "found T1, T2"),
     ("survey {good} --out r.toml --given A1,A2,X", "anchor 'X' has no readings"),
     ("survey {good} --out r.toml --sigma 0.1", "belongs to given positions"),
     ("survey {good} --out r.toml --frame A1,A2", "expected three different anchors"),
     ("survey {good} --out r.toml --frame A1,A2,A3 --given all", "leave one out"),
     ("survey {good} --out r.toml --height nan", "expected metres"),
-    ("trackers uvb {good}", "tracker uvb: unknown"),
     ("simulate station --out out --masked-antenna 1 9", "--masked-antenna"),
     ("simulate station --out {good}", "folder is not empty"),
     (f"simulate station --out out --seed={2**70}", "--seed ", "expected "),
@@ -290,9 +286,9 @@ NOISE_FILES = [
     ("content", "word", "command"), [(*x, y) for x, y in zip(NOISE_FILES, cycle(("track", "tune")))]
 )
 def test_a_noise_file_that_does_not_fit_is_refused(tmp_path, simulated, content, word, command):
-    file, option = tmp_path / "tuned.toml", "--noise" if command == "track" else "--start"
+    file = tmp_path / "tuned.toml"
     file.write_text(content)
-    said = trackwright(command, simulated, "--tracker", "beam", option, file, "--out", tmp_path / "out")
+    said = trackwright(command, simulated, "--tracker", "beam", "--noise", file, "--out", tmp_path / "out")
     assert_refused_last(said, str(file), word)
     assert not (tmp_path / "out").exists()
 

@@ -1,9 +1,6 @@
 """A study of a few seconds, in Python and in TOML, and the command line for it."""
 
 import json
-import os
-import subprocess
-import sys
 
 import numpy as np
 
@@ -35,17 +32,6 @@ rate_hz = 1.0
 [trackers.fix-kf]
 [trackers.moving-average]
 """
-
-
-def study_command(*words, devices=None):
-    """Run `trackwright study WORDS` as a process with this number of devices."""
-    environment = dict(os.environ)
-    if devices:
-        environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices}"
-    return subprocess.run(
-        [sys.executable, "-m", "trackwright", "study", *map(str, words)],
-        env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
 
 
 def sha(results):

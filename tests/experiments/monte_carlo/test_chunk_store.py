@@ -12,9 +12,8 @@ import pytest
 from tests.experiments.monte_carlo.small_study import SMALL, TOML, sha
 from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor, environment
 from trackwright.experiments.monte_carlo.chunk import run_chunk
-from trackwright.experiments.monte_carlo.runner import StopRule, run_missing, run_study
+from trackwright.experiments.monte_carlo.runner import ChunkStore, packed, packed_chunk, run_study
 from trackwright.experiments.monte_carlo.sources import available_studies, load_study
-from trackwright.experiments.monte_carlo.store import ChunkStore, packed
 from trackwright.trackers.core.errors import UnusableInput
 
 
@@ -35,10 +34,9 @@ def finished(whole, tmp_path):
 
 def test_chunks_in_another_order_give_the_same_numbers(whole, tmp_path):
     backwards = ChunkStore(tmp_path, SMALL).open()
-    for condition in reversed(SMALL.conditions):
-        for chunk in reversed(range(SMALL.chunks)):
-            run_missing(backwards, [(condition.index, chunk)])
-    assert sha(backwards.results({c.index: SMALL.runs for c in SMALL.conditions})) == whole[1]
+    for part in ((c.index, k) for c in reversed(SMALL.conditions) for k in reversed(range(SMALL.chunks))):
+        backwards.keep(part, packed_chunk(SMALL, part))
+    assert sha(backwards.results()) == whole[1]
 
 
 def test_chunks_cut_or_of_another_study_are_computed_again_and_what_a_killed_process_wrote_is_removed(whole, finished):
@@ -51,12 +49,13 @@ def test_chunks_cut_or_of_another_study_are_computed_again_and_what_a_killed_pro
     assert sha(run_study(SMALL, folder)) == whole[1]
     assert len(cut.read_bytes()) > 0.9 * len(before)
     assert {one: one.stat().st_mtime_ns for one in others} == made
+    assert not [*(folder / "chunks").glob(".*")]
 
 
 def test_a_damaged_chunk_is_named(finished):
     folder, (path, *_) = finished
     data = bytearray(path.read_bytes())
-    data[60] ^= 255
+    data[90] ^= 255
     path.write_bytes(data)
     with pytest.raises(UnusableInput, match=f"{path.name}: not a chunk of a study; remove it"):
         run_study(SMALL, folder)
@@ -128,19 +127,6 @@ def test_worker_processes_give_the_bits_of_threads(studies, tmp_path):
     with cluster_executor("local:2") as workers:
         found = [sha(run_study(study, tmp_path / study.name, executor=workers)) for study in studies]
     assert found == [sha(run_study(study, tmp_path / f"{study.name}-here")) for study in studies]
-
-
-def test_until_ends_a_condition_as_soon_as_its_interval_is_narrow_enough(studies, elsewhere, tmp_path):
-    study = dataclasses.replace(SMALL, runs=64, worlds={"constant": SMALL.worlds["constant"]})
-    wide = run_study(study, tmp_path / "wide", StopRule.parse("rmse_m±30%", study))
-    narrow = run_study(study, tmp_path / "narrow", StopRule.parse("rmse_m +- 0.01 %", study))
-    assert (wide.runs[0], narrow.runs[0]) == (32, 64)
-    assert [len([*(tmp_path / name / "chunks").glob("*.npz")]) for name in ("wide", "narrow")] == [1, 2]
-    stop = StopRule.parse("rmse_m±90%", studies[1])
-    here, there = (run_study(studies[1], tmp_path / f"{x is None}", stop, executor=x) for x in (None, elsewhere))
-    assert there.runs == here.runs
-    assert min(there.runs.values()) < studies[1].runs
-    assert sha(there) == sha(here)
 
 
 @pytest.mark.parametrize("where", ["threads", "elsewhere"])

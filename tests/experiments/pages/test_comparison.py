@@ -6,7 +6,7 @@ import re
 import pytest
 
 from tests.experiments.pages.small_tracks import small_run
-from trackwright.experiments.cli.options import EvaluateOptions, PoseOptions
+from trackwright.experiments.cli.options import EvaluateOptions
 from trackwright.experiments.cli.track import evaluate_tracks
 from trackwright.experiments.lab.papers.reproduce import evidence, part, tables
 from trackwright.experiments.pages.comparison import comparison, lone_subjects, read_runs
@@ -58,7 +58,7 @@ def test_the_command_prints_and_writes_one_page(tmp_path, capsys):
     before = sorted(tmp_path.rglob("*"))
     assert evaluate_tracks(first, second) == 0
     assert sorted(tmp_path.rglob("*")) == before
-    assert evaluate_tracks(first, second, options=EvaluateOptions(poses=PoseOptions(out=tmp_path / "page"))) == 0
+    assert evaluate_tracks(first, second, options=EvaluateOptions(out=tmp_path / "page")) == 0
     assert "12.0" in capsys.readouterr().out
     page = (tmp_path / "page" / "comparison.html").read_text()
     assert "12.0" in page

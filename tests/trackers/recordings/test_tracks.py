@@ -97,7 +97,7 @@ def test_evaluate_and_a_study_find_the_same_nis_ratio_and_errors(one_noisy):
         evaluation = tw.evaluate(part, one_noisy)
         totals = Totals(2)
         totals.add(0, arrays)
-        results = Results(study, {(0, name): totals}, {0: 2})
+        results = Results(study, {(0, name): totals})
         for metric in ("rmse_m", "rmse_3d_m", "nees_mean", "coverage_95", *["nis_ratio"] * (name == "uwb")):
             found = results.at(metric, study.conditions[0], name).value
             assert found == pytest.approx(evaluation[metric], rel=1e-9), (name, metric)

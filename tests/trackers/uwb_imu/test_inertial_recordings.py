@@ -10,7 +10,7 @@ from tests.trackers.recordings.checks.made import with_columns
 from trackwright.sim import worlds
 from trackwright.sim.imu import simulate_uwb_imu
 from trackwright.sim.ranging import chamber
-from trackwright.trackers.catalogue import build, tracked_by
+from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
@@ -70,6 +70,4 @@ def test_ranges_and_an_imu_are_tracked_without_the_imu_where_the_ranges_suffice(
     three = folder.tables["ranges"].filter(pl.col("anchor").is_in(sorted(folder.rig.anchors)[:3]))
     for ranges, expected in ((folder.tables["ranges"], "uwb"), (three, "uwb-imu")):
         tables = dict(folder.tables) | {"ranges": ranges}
-        runs, refused = tracked_by([RecordingFolder(folder.name, None, folder.rig, tables)])
-        assert [*runs] == [expected]
-        assert refused == []
+        assert fitting(RecordingFolder(folder.name, None, folder.rig, tables)) == expected

@@ -10,7 +10,7 @@ from trackwright.experiments.lab.papers import fitting
 from trackwright.experiments.lab.papers.fitting import Fitted, fitted, solved, unsaved, write_fitted
 from trackwright.experiments.lab.papers.huang_2018 import mhk_against, workshop
 from trackwright.experiments.lab.papers.kwon_2021 import chamber, line_of_sight, robot, table_4
-from trackwright.experiments.monte_carlo.errors import TrackedRuns
+from trackwright.experiments.monte_carlo.tracked import TrackedRuns
 from trackwright.experiments.text.expectations import PREDICTED, ExpectedResult
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.mhk.tracker import STILL

@@ -12,7 +12,7 @@ import pytest
 
 from tests.broken import ANOMALOUS
 from tests.trackers.recordings.checks.made import good, hall, only, with_anchors, with_columns, with_rows
-from trackwright.trackers.exchange.truth_frame import parsed_placement
+from trackwright.trackers.exchange.importing import placed
 from trackwright.trackers.recordings.checks import CheckResult, format_results
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.checks.readings import Readings, quantisation_step, repeated_share, robust_fit
@@ -83,9 +83,9 @@ def test_a_truth_in_another_frame_and_late_is_named_with_the_numbers_that_bring_
     moved = with_columns("truth", x_m=c * x - s * y + 50.0, y_m=s * x + c * y, t_s=T + 0.35)
     folder = moved(only("ranges", "truth")(hall()))
     (error,) = quick_check(folder)
-    placement = parsed_placement(error.message.rpartition(" ")[2])
-    assert placement.later == pytest.approx(-0.35, abs=0.02)
-    truth = placement.of_table(folder.tables["truth"])
+    numbers = [float(x) for x in error.message.rpartition(" ")[2].split(",")]
+    assert numbers[4] == pytest.approx(-0.35, abs=0.02)
+    truth = placed(folder.tables["truth"], numbers)
     assert quick_check(replace(folder, tables={**folder.tables, "truth": truth})) == []
 
 
