@@ -213,7 +213,4 @@ ANOMALOUS: dict[str, Builder] = {
     "unknown column": _anomalous("ranges", lambda table: table.with_columns(remark=pl.lit("good")), "'remark'"),
     "unknown file": then(lambda folder: [(folder / "notes.csv").write_text("a,b\n1,2\n"), "not one of the tables"][1]),
     "unknown key in the rig": with_rig('about = "Made for tests."', 'operator = "me"', "'operator'"),
-    "quaternions not of unit length": _anomalous(
-        "truth", lambda table: table.with_columns(qw=pl.lit(0.9)), "unit length"
-    ),
 }

@@ -14,10 +14,7 @@ LEVELS: tuple[Level, ...] = ("error", "warning", "info")
 
 @dataclass(frozen=True)
 class CheckResult:
-    """One result: `error`, tracking fails or gives wrong results; `warning`, an anomaly; `info`, a property.
-
-    `where`: the table, file or column concerned.
-    """
+    """One result, of a table, file or column: an `error` makes tracks fail or wrong, a `warning` is an anomaly."""
 
     level: Level
     where: str
@@ -26,8 +23,8 @@ class CheckResult:
 
 def format_results(results: Sequence[CheckResult]) -> str:
     """The results as aligned lines of plain text, the most severe first, and a last line with their counts."""
-    ordered = sorted(results, key=lambda result: LEVELS.index(result.level))
-    width = max((len(result.where) for result in results), default=0)
-    lines = [printable(f"{result.level:<7}  {result.where:<{width}}  {result.message}") for result in ordered]
-    errors, warnings, infos = (sum(result.level == level for result in results) for level in LEVELS)
+    width = max((len(one.where) for one in results), default=0)
+    ordered = sorted(results, key=lambda one: LEVELS.index(one.level))
+    lines = [printable(f"{one.level:<7}  {one.where:<{width}}  {one.message}") for one in ordered]
+    errors, warnings, infos = (sum(one.level == level for one in results) for level in LEVELS)
     return "\n".join([*lines, f"errors: {errors}, warnings: {warnings}, notes: {infos}"])

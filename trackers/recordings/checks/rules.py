@@ -1,22 +1,19 @@
-"""What tables and the rig alone tell: a check of values is a row of a table, everything else a short function.
-
-A stream is the rows of one sensor and one tag in one table; gaps and outliers are defined along a stream.
-"""
+"""What tables and the rig alone tell, by rules and short functions; a stream is the rows of one sensor and one tag."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, permutations
 from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.seconds import moment, span
+from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.rig import SAY_SIDE, THIN, Rig
-from trackwright.trackers.core.wording import counted, significant
+from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.kinds import KINDS, Kind, table_kinds
@@ -24,13 +21,11 @@ from trackwright.trackers.recordings.kinds import KINDS, Kind, table_kinds
 Tables = Mapping[str, pl.DataFrame]
 Results = Iterator[CheckResult]
 C, DT, T, X, SIZE, BOUND = pl.col, pl.col("dt"), pl.col("t_s"), pl.col("x"), pl.col("x").abs(), pl.col("bound")
+# A step that is a jump of the clock and no gap, a year, s; reach of indoor radio, m; by how much heights are off by a
+# mistake, m; rows that cannot all have one time.
 JUMP_S, YEAR_S, FAR_M, OFF_M, LEAST_STAMPS = 1e7, 31_557_600.0, 500.0, 0.5, 10
-"""Step that is a jump of the clock and no gap, s; a year, s; reach of indoor radio, m; by how much heights are off by a
-mistake, m; rows that cannot all have one time."""
-
+# Least jumps of outliers by unit, and sizes of gravity.
 LEAST_JUMP = {"m": 1.0, "mps": 10.0, "mps2": 40.0, "radps": 10.0}
-"""Least jumps of outliers by unit: smaller ones are within reach of a person, cart or drone between two rows."""
-
 GRAVITY_IN = {9.81: "m/s²", 1.0: "multiples of g", 32.2: "ft/s²", 1e3: "thousandths of g or cm/s²", 9.81e3: "mm/s²"}
 
 
@@ -51,22 +46,17 @@ def _near(size: float) -> pl.Expr:
 _BEYOND, _TYPICAL = SIZE > BOUND + 1e-3, "typical {name} {typical:,.4g} "  # with room for π rounded up in text
 _TURN, _LIES = 2 * math.pi, "{share:.0%} of {name} lie beyond ±{bound:.3g}: looks like "
 _TURNED = (X.is_between(-1e-3, _TURN + 1e-3) & (((X + _TURN / 2) % _TURN - _TURN / 2).abs() <= BOUND + 1e-3)).all()
-_LONG, _NARROW = SIZE.median() > BOUND, (X.std() < 0.05 * SIZE.median()).fill_null(False)
+_LONG = SIZE.median() > BOUND
 
 UNITS = (
     Rule("error", "phases", SIZE.median() > _TURN, _TYPICAL + "rad: looks like degrees, expected (-π, π]"),
     Rule("error", "gyro", SIZE.quantile(0.95) > 35.0,  # the full scale of common gyroscopes
          "turn rates beyond 35 rad/s: looks like degrees per second, expected radians"),
     Rule("error", "rad", _BEYOND & ~_TURNED, _LIES + "degrees, expected radians", 0.1),
-    Rule("error", "radps", _BEYOND, _LIES + "degrees per second, expected radians", 0.1),
-    Rule("error", "mps", _BEYOND, _LIES + "millimetres or centimetres per second, expected metres", 0.1),
-    # Places in millimetres are as far from one another as from the rig; places in another frame are not.
-    Rule("error", "place", _LONG & _NARROW, _TYPICAL + "m: looks like another frame than the rig's, or millimetres"),
-    Rule("error", "place", _LONG & ~_NARROW, _TYPICAL + "m{site}: looks like centimetres or millimetres"),
-    Rule("error", "m", _LONG, _TYPICAL + "m{site}: looks like centimetres or millimetres"),
+    Rule("error", "radps mps", _BEYOND, _LIES + "degrees, or millimetres or centimetres, per second", 0.1),
+    Rule("error", "place m", _LONG, _TYPICAL + "m{site}: looks like centimetres, millimetres or another frame"),
     # A signal takes 1e-6 s for 300 m; in metres some values exceed their resolution.
     Rule("error", "m", SIZE.max() < 1e-5, "{name} below 1e-5 m: looks like seconds, expected metres"),
-    Rule("warning", "free", _near(9.81), _TYPICAL + "m/s²: with gravity, but quaternion columns imply none"),
     *(Rule("info" if size == 9.81 else "error", "gravity", _near(size), _TYPICAL + f"m/s²: gravity in {unit}, expected "
            "m/s²") for size, unit in GRAVITY_IN.items()),
     Rule("error", "gravity", ~pl.any_horizontal(*map(_near, GRAVITY_IN)), _TYPICAL + "m/s², expected 9.81: another "
@@ -75,11 +65,8 @@ UNITS = (
 """What sizes of values say of their units; `bound`: of angles and rates, of a length in metres at this site."""
 
 ANOMALIES = (
-    Rule("warning", "rad phases", _BEYOND & _TURNED,
-         "values of {name} beyond ±{bound:.3g}: {n}; from 0 to 2π, not wrapped: trackers wrap them"),
-    Rule("warning", "rad phases", _BEYOND & ~_TURNED,
-         "values of {name} beyond ±{bound:.3g}: {n}; degrees, or not wrapped"),
-    Rule("warning", "quaternion", (X.abs() - 1).abs() > 0.01, "quaternions more than 1 % from unit length: {n}"),
+    Rule("warning", "rad phases", _BEYOND & _TURNED, "{name} beyond ±{bound:.3g}: {n}; from 0 to 2π, not wrapped"),
+    Rule("warning", "rad phases", _BEYOND & ~_TURNED, "{name} beyond ±{bound:.3g}: {n}; degrees, or not wrapped"),
     Rule("warning", "positive", X < 0.0, "negative values of {name}: {n}"),
     Rule("warning", "t_s", (DT > 1) & (5 * DT.filter(DT > 0).median().over("stream") < DT) & (DT < JUMP_S),
          "gaps longer than 1 s: {n}, the longest {dt:.3g} s before {place}"),
@@ -87,7 +74,7 @@ ANOMALIES = (
     Rule("warning", " ".join(LEAST_JUMP), C("away") > (14.826 * C("away").median().over("stream")).clip(BOUND),
          "outliers of {name}: {n}, the worst {x:.4g} at {place}"),
 )  # fmt: skip
-"""Of values by themselves, then along their streams: `bound` is the least jump, `away` the distance from neighbours."""
+"""Three of values by themselves, then along streams: `bound` is the least jump, `away` the distance from neighbours."""
 
 
 def broken(rules: Iterable[Rule], table: str, name: str, of: str, rows: pl.DataFrame, site: str = "") -> Results:
@@ -109,20 +96,8 @@ def check_units(rig: Rig, tables: Tables) -> Results:
     knots = np.zeros((0, 2)) if rig.path_knots is None else rig.path_knots
     places = np.array([*(place[:2] for place in named.values()), *knots]).reshape(-1, 2)
     away = np.linalg.norm(places - np.median(places, axis=0), axis=1) if len(places) > 2 else np.zeros(0)
-    for name, one in zip(named, away, strict=False):
-        if one > max(FAR_M, 20 * float(np.median(away))):
-            yield CheckResult("error", "rig.toml", f"{name}: {one:,.5g} m from the others; correct its coordinates")
-    lengths = [
-        tables[name][kind.columns[0].name]
-        for name, kind in KINDS.items()
-        if name in tables and kind.columns[0].positive
-    ]
-    if len(rig.anchors) > 1 and lengths and (typical := lengths[0].abs().median()) is not None:
-        at = np.stack(list(rig.anchors.values()))
-        apart = float(np.median(np.sort(np.linalg.norm(at[:, None] - at, axis=-1), axis=1)[:, 1]))
-        if apart >= max(100 * float(typical), FAR_M):  # type: ignore[arg-type]
-            message = f"anchors {apart:,.5g} m apart, ranges of {float(typical):.3g} m: looks like millimetres"  # type: ignore[arg-type]
-            yield CheckResult("error", "rig.toml", f"{message}, expected metres")
+    if far := [name for name, one in zip(named, away, strict=False) if one > max(FAR_M, 20 * np.median(away))]:
+        yield CheckResult("error", "rig.toml", f"{listed(far)}: far from all others; correct the coordinates")
     across = float(np.linalg.norm(np.ptp(places, axis=0))) if len(places) > 1 else None
     site = "" if across is None else f", the rig is {significant(across, 3)} m across"
     for table, rows in tables.items():
@@ -132,17 +107,15 @@ def check_units(rig: Rig, tables: Tables) -> Results:
 
 def _series(kind: Kind, rows: pl.DataFrame, rig: Rig, length: float) -> Iterator[tuple[str, str, pl.Expr, pl.Expr]]:
     """Name, nature, values and bound of what is judged together; `length`: what is too long at this site."""
-    norm = lambda *of: pl.sum_horizontal(C(*of) ** 2, ignore_nulls=False).sqrt()  # noqa: E731
     attitude, limit = {*QUATERNION} <= {*rows.columns}, pl.lit(length)
-    if attitude:
-        yield "quaternion", "quaternion", norm(*QUATERNION), limit
     if kind.numbered:
         yield kind.name, "phases", pl.concat_list(kind.layout(rows.columns).values).explode(), pl.lit(math.pi)
     elif kind.position:
         x, y, _ = np.mean(rig.places() or [np.zeros(3)], axis=0)
         yield "distance from the rig", "place", ((C("x_m") - x) ** 2 + (C("y_m") - y) ** 2).sqrt(), limit
     elif kind.unit == "mps2":  # quaternions are the format's sign that gravity is subtracted
-        yield "acceleration is", "free" if attitude else "gravity", norm("^accel_._mps2$"), limit
+        force = pl.sum_horizontal(C("^accel_._mps2$") ** 2, ignore_nulls=False).sqrt()
+        yield "acceleration is", "" if attitude else "gravity", force, limit
         yield "turn rates", "gyro", pl.concat_list("^gyro_._radps$").explode(), limit
     else:
         for column in kind.columns:
@@ -166,7 +139,7 @@ def check_rows(rig: Rig, tables: Tables) -> Results:
             what = f"tags that are not in rig.toml: {len(unknown)} ({listed(map(repr, unknown))})"
             yield CheckResult("warning", name, what)
         for label, of, x, bound in _series(kind, table, rig, FAR_M):
-            yield from broken(ANOMALIES[:4], name, label, of, table.select(x=x, bound=bound))
+            yield from broken(ANOMALIES[:3], name, label, of, table.select(x=x, bound=bound))
         times = table["t_s"].sort().to_numpy()
         for k in np.flatnonzero(np.diff(times) > JUMP_S).tolist():
             before, after = times[k : k + 2].tolist()
@@ -183,23 +156,25 @@ def check_rows(rig: Rig, tables: Tables) -> Results:
             yield CheckResult("warning", name, what + "; the stamps have lost digits" * (again > rows.height / 2))
         # Which anchors a message has in common changes from one to the next.
         along = streams(rows.drop("stream", "dt"), ids[:1]) if kind.difference else rows
-        yield from broken(ANOMALIES[4:], name, "t_s", "t_s", along.with_columns(x=T)) if name != "truth" else ()
+        yield from broken(ANOMALIES[3:], name, "t_s", "t_s", along.with_columns(x=T)) if name != "truth" else ()
         for column in values if name != "truth" else ():
             unit, x = column.rpartition("_")[2], C(column)
             away = (x - x.rolling_median(15, center=True, min_samples=5)).abs().over("stream")
             seen = rows.drop_nulls(column).with_columns(x=x, away=away, bound=LEAST_JUMP.get(unit, math.inf))
-            yield from broken(ANOMALIES[4:], name, column, unit, seen)  # angles are bounded
+            yield from broken(ANOMALIES[3:], name, column, unit, seen)  # angles are bounded
     yield from unobserved(rig, tables, "tag")
+
+
+def _seen(tables: Tables, noun: str) -> set[str]:
+    """The ids of the anchors, stations or tags with measurements."""
+    columns = (table[c] for name, table in tables.items() if name != "truth" for c in (noun, f"{noun}_2") if c in table)
+    return {key for column in columns for key in column.unique()}
 
 
 def unobserved(rig: Rig, tables: Tables, *nouns: str) -> Results:
     """Anchors, stations or tags of the rig without a measurement: failed devices, or misspelt ids."""
     for noun in nouns:
-        columns = [
-            (table, c) for k, table in tables.items() for c in (noun, f"{noun}_2") if c in table.columns and k in KINDS
-        ]
-        seen = {key for table, column in columns for key in table[column].unique()}
-        known = {"anchor": rig.anchors, "station": rig.stations, "tag": rig.tags}[noun]
+        known, seen = {"anchor": rig.anchors, "station": rig.stations, "tag": rig.tags}[noun], _seen(tables, noun)
         silent = [repr(key) if noun == "tag" else key for key in known if key not in seen]
         # A folder of fixes may have anchors that no table names.
         if silent and (seen or noun == "station"):
@@ -208,37 +183,32 @@ def unobserved(rig: Rig, tables: Tables, *nouns: str) -> Results:
 
 
 def check_rates(tables: Tables) -> Results:
-    """Rows, ids, the typical rate of a stream and the share of empty cells of each table."""
+    """Rows, the typical rate of a stream and the share of empty cells of each table."""
     for name, table in tables.items():
         ids, values, *_ = table_kinds()[name].layout(table.columns)
-        along = streams(table.select("t_s", *ids), ids).filter(DT > 0)
-        rates = along.group_by("stream").agg(rate=1 / DT.median())["rate"].to_list()
-        parts = [counted(table.height, "row"), *(counted(table[c].n_unique(), c) for c in ids)]
-        parts += [f"{np.median(rates):.3g} Hz"] if rates else []
-        parts += [f"{c} empty {n / table.height:.3g}" for c in values if (n := table[c].null_count())]
-        empty = all(table[c].null_count() == table.height for c in values)
-        level: Level = "info" if not empty else "warning" if name == "truth" else "error"
-        yield CheckResult(level, name, ", ".join(parts) + ": all values are missing" * empty)
+        rate = streams(table.select("t_s", *ids), ids).filter(DT > 0).select(1 / DT.median()).item() or 0.0
+        empty = {c: table[c].null_count() / table.height for c in values}
+        what = "".join(f", {c} empty {share:.3g}" for c, share in empty.items() if share)
+        lost = name != "truth" and min(empty.values()) == 1.0
+        yield CheckResult("error" if lost else "info", name, f"{table.height} rows, {rate:.3g} Hz{what}")
 
 
 def check_times(tables: Tables, base: bool = True) -> Results:
     """Errors and warnings of the unit of times; of the `base`, warnings of a late start, and the span of all tables."""
     first, last = _ends(*tables.values())
-    steps = (table["t_s"].unique().diff().median() for table in tables.values())
-    shortest = min((float(step) for step in steps if step is not None), default=0.0)  # type: ignore[arg-type]
     units = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"), (1e8, "seconds"))
     unit = next((unit for least, unit in units if first > least), "")
+    steps = [float(step) for table in tables.values() if (step := table["t_s"].unique().diff().median()) is not None]  # type: ignore[arg-type]
     if unit and (base or unit != "seconds"):
         message = f"starts at {first:.0f}: looks like {unit} since 1970, expected seconds since the start of recording"
         fix = f"; import with --columns t_s=COLUMN-{first:.0f}" * (unit == "seconds")
         yield CheckResult("warning" if fix else "error", "t_s", message + fix)
-    if shortest >= 5 and last - first > 1000 and unit in ("", "seconds"):
-        message = f"rows {shortest:.4g} s apart over {last - first:.6g} s: looks like milliseconds, expected seconds"
+    elif steps and min(steps) >= 5 and last - first > 1000:
+        message = f"rows {min(steps):.4g} s apart over {last - first:.6g} s: looks like milliseconds, expected seconds"
         yield CheckResult("warning", "t_s", message)
-    if base and not unit:
-        late = abs(first) > 60.0
-        message = f"starts at {moment(first)}, expected a start near 0" if late else f"from {span(first, last)}"
-        yield CheckResult("warning" if late else "info", "t_s", message)
+    elif base:
+        late = ", expected a start near 0" * (abs(first) > 60.0)
+        yield CheckResult("warning" if late else "info", "t_s", f"from {span(first, last)}{late}")
 
 
 def _ends(*tables: pl.DataFrame) -> tuple[float, float]:
@@ -249,68 +219,79 @@ def _ends(*tables: pl.DataFrame) -> tuple[float, float]:
 def check_clocks(measured: Tables, truth: pl.DataFrame | None) -> Results:
     """Errors: streams whose rows all have one time, tables far in time from the first, and a truth of another time."""
     clocks = "as two time zones, or one counts from 1970; expected one clock for all tables"
+    one, (first, last) = next(iter(measured)), _ends(next(iter(measured.values())))
     for name, table in measured.items():
         of_stream = table.group_by(table_kinds()[name].layout(table.columns).ids).agg(n=pl.len(), times=T.n_unique())
         if stuck := of_stream.filter((C("times") == 1) & (C("n") >= LEAST_STAMPS))["n"].sum():
             message = f"{stuck} rows have one time per sensor and tag: the stamps have lost their digits"
             yield CheckResult("error", name, f"{message}; export them again with fractions of a second")
-        (first, last), (start, end) = _ends(next(iter(measured.values()))), _ends(table)
+        start, end = _ends(table)
         # One sensor may be switched on after another was switched off.
         if max(start - last, first - end) > max(10.0 * (last - first + end - start), 600.0):
-            apart = f"{span(start, end)}, and {next(iter(measured))} {span(first, last)}"
-            yield CheckResult("error", name, f"{apart}; {(start - first) / 3600:.4g} hours apart, {clocks}")
+            message = f"{span(start, end)}, and {one} {span(first, last)}; {(start - first) / 3600:.4g} hours apart"
+            yield CheckResult("error", name, f"{message}, {clocks}")
     if truth is not None:
-        (first, last), spans = _ends(*measured.values()), truth.group_by("tag").agg(start=T.min(), end=T.max())
+        spans = truth.group_by("tag").agg(start=T.min(), end=T.max())
         rows = pl.concat([table.select("t_s", "tag") for table in measured.values()]).join(spans, "tag", "left")
         share = float(rows.select(T.is_between("start", "end").fill_null(False).mean()).item())
+        apart = f" ({span(*_ends(truth))}, and they {span(*_ends(*measured.values()))}: {clocks})" if not share else ""
         level: Level = "info" if share >= 0.5 else "warning" if share else "error"
-        apart = f" ({span(*_ends(truth))}, and they {span(first, last)}: {clocks})" if not share else ""
         yield CheckResult(level, "truth", f"covers {100 * share:.3g} % of the measurements in time{apart}")
 
 
 def check_heights(rig: Rig, truth: pl.DataFrame) -> Results:
     """An error for each tag of known height that its truth contradicts."""
-    for tag, z in truth.group_by("tag", maintain_order=True).agg(C("z_m").median()).iter_rows():
-        height = rig.tags[tag].height if tag in rig.tags else None
-        if z is not None and height is not None and abs(z - height) > OFF_M:
-            message = f"height_m of tag {tag} is {height:g}, but z of its truth is typically {z:.2f} m"
+    known = {tag: of.height for tag, of in rig.tags.items() if of.height is not None}
+    for tag, z in truth.group_by("tag", maintain_order=True).agg(C("z_m").median()).drop_nulls().iter_rows():
+        if abs(z - known.get(tag, z)) > OFF_M:
+            message = f"height_m of tag {tag} is {known[tag]:g}, but z of its truth is typically {z:.2f} m"
             yield CheckResult("error", "rig.toml", f"{message}: one of the two is wrong, or points down")
 
 
 def check_geometry(rig: Rig, tables: Tables) -> Results:
     """What the places of the sensors that are observed leave undetermined."""
-    known = bool(rig.tags) and all(tag.height is not None for tag in rig.tags.values())
-    kinds, seen = [KINDS[name] for name in tables if KINDS[name].sensors], list[dict[str, np.ndarray]]()
-    for kind in kinds:
-        present = tables[kind.name].drop_nulls(kind.least[0])
-        ids = {key for column in kind.sensors for key in present[column].unique()}
-        seen.append({key: place for key, place in kind.places(rig).items() if key in ids})
-    if "fixes" in tables and not any(kind.noun == "anchor" for kind in kinds) and len(rig.anchors) > 2:
-        kinds, seen = [*kinds, KINDS["ranges"]], [*seen, dict(rig.anchors)]
-    for kind, used in zip(kinds, seen, strict=True):
-        for (one, at), (other, there) in combinations(used.items(), 2):
-            if np.linalg.norm(at - there) < 1e-3:
-                message = f"{one} and {other} have the same position; correct one in rig.toml"
-                yield CheckResult("warning", "rig.toml", message)
-        least, station = 3 + (2 - known) * kind.difference, kind.noun == "station"
-        if len(used) == 1 and station:
-            message = f"only station {next(iter(used))} is observed: bearings, no position without a known height"
-            yield CheckResult("info", kind.name, message)
+    known, kinds = (
+        bool(rig.tags) and all(tag.height is not None for tag in rig.tags.values()),
+        [KINDS[n] for n in tables],
+    )
+    for noun in ("anchor", "station"):
+        of = next((kind for kind in (*kinds, KINDS["ranges"]) if kind.noun == noun), KINDS["bearings"])
+        fixes = noun == "anchor" and "fixes" in tables and of not in kinds
+        used = {key: place for key, place in of.places(rig).items() if fixes or key in _seen(tables, noun)}
+        for one, other in combinations(used, 2):
+            if np.linalg.norm(used[one] - used[other]) < 1e-3:
+                yield CheckResult("warning", "rig.toml", f"{one} and {other} have the same position; correct one")
+        least = 2 if noun == "station" else 3 + (2 - known) * of.difference
         # A distance and a direction are a position, each alone is none.
-        elif not station and len(used) < least and sum(map(bool, seen)) + ("fixes" in tables) == 1:
-            message = f"anchors observed: {len(used)}, expected {least} or more for a position"
-            yield CheckResult("warning", "rig.toml", message)
+        if 0 < len(used) < least and not fixes and sum(bool(kind.sensors) or kind.position for kind in kinds) == 1:
+            message = f"{noun}s observed: {len(used)}, expected {least} or more for a position"
+            yield CheckResult("warning" if noun == "anchor" else "info", "rig.toml", message)
         elif len(used) > 2:
             _, sizes, axes = np.linalg.svd(np.stack([*used.values()]) - np.mean([*used.values()], axis=0))
             dimension, level = int((sizes > THIN * max(sizes[0], 1e-6)).sum()), abs(axes[2, 2]) > 0.7
-            what = "collinear: positions around their line cannot be told apart"
-            if dimension == 2:
-                known_or = "the height of the tags is known" if known else SAY_SIDE
-                what = f"coplanar: the height is weakly determined and may be mirrored at their plane ({known_or})"
-                what = what if level else "coplanar in a vertical plane: positions may be mirrored at it"
-            if dimension < 2 or (dimension == 2 and not station):
+            side = "the height of the tags is known" if known else SAY_SIDE
+            what = f"coplanar: the height is weakly determined and may be mirrored at their plane ({side})"
+            what = what if level else "coplanar in a vertical plane: positions may be mirrored at it"
+            what = what if dimension == 2 else "collinear: positions around their line cannot be told apart"
+            if dimension < (3 if noun == "anchor" else 2):
                 good = known and level and dimension == 2
-                yield CheckResult("info" if good else "warning", "rig.toml", f"the {kind.noun}s are {what}")
+                yield CheckResult("info" if good else "warning", "rig.toml", f"the {noun}s are {what}")
+
+
+def check_triangles(rig: Rig, ranges: pl.DataFrame) -> Results:
+    """A warning of anchors whose ranges of one moment contradict their distance from others: triangles do not close."""
+    moments = ranges.select("tag", C("anchor").cast(pl.String), x="range_m", at=(T / 0.2).floor()).drop_nulls()
+    number = C("at").rank("dense")
+    pairs = moments.filter(number % (number.max() / 200).ceil() == 0).join(moments, ["tag", "at"], suffix="_2")
+    apart = [(a, b, float(np.linalg.norm(p - q))) for (a, p), (b, q) in permutations(rig.anchors.items(), 2)]
+    pairs = pairs.join(pl.DataFrame(apart, ["anchor", "anchor_2", "apart"], orient="row"), ["anchor", "anchor_2"])
+    open_by = pl.max_horizontal((X - C("x_2")).abs() - C("apart"), C("apart") - X - C("x_2"))
+    of = pairs.group_by("anchor").agg(share=(open_by > 2 * OFF_M).mean()).sort("share", descending=True)
+    if len(of) > 2 and (worst := of["share"][0]) > 0.2:
+        named = of.filter(C("share") > 0.6 * worst)["anchor"].to_list()
+        message = f"with distances between anchors, {worst:.0%} of the ranges of {listed(named)} contradict others of "
+        fix = "the same moment: its id, place or unit is wrong, or its readings are wild"
+        yield CheckResult("warning", "ranges", message + fix)
 
 
 def without_height(rig: Rig, fixes: pl.DataFrame) -> list[str]:

@@ -13,7 +13,6 @@ import numpy as np
 import polars as pl
 
 from tests.faulty import write_good
-from trackwright.sim import worlds
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.differences import CORNERS, simulate_differences
 from trackwright.sim.ranging import chamber
@@ -47,20 +46,17 @@ def with_anchors(change: Callable[[dict[str, np.ndarray]], dict[str, Any]]) -> M
     )
 
 
-def with_stations(change: Callable[[Station], Station], chosen: Sequence[str] | None = None) -> Make:
-    """Other stations, of all or of those that are chosen."""
-    return lambda folder: replace(
-        folder,
-        rig=replace(
-            folder.rig,
-            stations={k: change(s) if chosen is None or k in chosen else s for k, s in folder.rig.stations.items()},
-        ),
-    )
-
-
 def rotated(change: Callable[[np.ndarray], np.ndarray], chosen: Sequence[str] | None = None) -> Make:
-    """Other quaternions of stations."""
-    return with_stations(lambda s: replace(s, rotation=change(np.asarray(s.rotation, float))), chosen)
+    """Other quaternions of stations, of all or of those that are chosen."""
+
+    def make(folder: RecordingFolder) -> RecordingFolder:
+        stations = {
+            key: replace(s, rotation=change(np.asarray(s.rotation, float))) if key in (chosen or (key,)) else s
+            for key, s in folder.rig.stations.items()
+        }
+        return replace(folder, rig=replace(folder.rig, stations=stations))
+
+    return make
 
 
 def about_z(q: np.ndarray, degrees: float) -> np.ndarray:
@@ -115,18 +111,6 @@ def hall() -> RecordingFolder:
     }  # fmt: skip
     anchors = {key: np.array(place) for key, place in ANCHORS.items()}
     return RecordingFolder("hall", None, Rig("hall", anchors, stations, {"T": Tag(height=1.1)}), tables)
-
-
-@cache
-def tool() -> RecordingFolder:
-    """A tool with an IMU and its true attitude."""
-    return worlds.tool(n=1, seed=0, rows=600).folder()
-
-
-@cache
-def arrays() -> RecordingFolder:
-    """Phases of three arrays with noise of 0.3 rad."""
-    return worlds.station(n=2, seed=2, rows=80, sigma_p=0.3).folder()
 
 
 @cache
