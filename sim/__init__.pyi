@@ -11,7 +11,6 @@ from trackwright.sim.corruptions import mask_antenna as mask_antenna
 from trackwright.sim.corruptions import mirrored_heights as mirrored_heights
 from trackwright.sim.corruptions import outliers as outliers
 from trackwright.sim.corruptions import white_noise as white_noise
-from trackwright.sim.differences import simulate_differences as simulate_differences
 from trackwright.sim.imu import simulate_uwb_imu as simulate_uwb_imu
 from trackwright.sim.keys import normals as normals
 from trackwright.sim.keys import stream as stream
@@ -24,22 +23,19 @@ from trackwright.sim.paths import PathFunction as PathFunction
 from trackwright.sim.paths import hand_motion as hand_motion
 from trackwright.sim.paths import helix as helix
 from trackwright.sim.paths import point_to_point as point_to_point
-from trackwright.sim.paths import straight_lines_with_halts as straight_lines_with_halts
-from trackwright.sim.phases import Radar as Radar
-from trackwright.sim.phases import Reflector as Reflector
-from trackwright.sim.phases import plane_phases as plane_phases
-from trackwright.sim.phases import signal_phases as signal_phases
-from trackwright.sim.phases import spherical_phases as spherical_phases
 from trackwright.sim.ranging import Protocol as Protocol
 from trackwright.sim.ranging import antenna_biases as antenna_biases
 from trackwright.sim.ranging import chamber as chamber
 from trackwright.sim.ranging import obstruction as obstruction
 from trackwright.sim.ranging import round_robin as round_robin
+from trackwright.sim.ranging import simulate_differences as simulate_differences
 from trackwright.sim.ranging import simulate_ranges as simulate_ranges
 from trackwright.sim.ranging import two_way_ranges as two_way_ranges
 from trackwright.sim.stations import SimulatedPhases as SimulatedPhases
 from trackwright.sim.stations import facing as facing
+from trackwright.sim.stations import plane_phases as plane_phases
 from trackwright.sim.stations import simulate_phases as simulate_phases
+from trackwright.sim.stations import spherical_phases as spherical_phases
 from trackwright.sim.stations import work_station as work_station
 from trackwright.sim.worlds import SimulatedWorld as SimulatedWorld
 
@@ -65,14 +61,10 @@ __all__ = [
     "WORK_VOLUME",
     "hand_motion",
     "helix",
-    "straight_lines_with_halts",
     "point_to_point",
-    # phases and signals
+    # phases
     "spherical_phases",
     "plane_phases",
-    "signal_phases",
-    "Radar",
-    "Reflector",
     # what goes wrong
     "Corruption",
     "corrupted",

@@ -15,14 +15,9 @@ from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
 
-LARGEST_SPEED, LARGEST_ACCELERATION = 2.0, 2.0
-"""Limits of the paper's vehicle, m/s and m/s²."""
-
-TAG_HEIGHT, RATE_HZ = 1.2, 10.0
-"""Of the vehicles: height of the tag, m, and fixes per second."""
-
-ANCHOR_HEIGHT = 2.5
-"""Height of all anchors, m; heights are ambiguous by their mirror image at this plane."""
+LARGEST_SPEED, LARGEST_ACCELERATION = 2.0, 2.0  # limits of the paper's vehicle, m/s and m/s²
+TAG_HEIGHT, RATE_HZ = 1.2, 10.0  # of the vehicles: height of the tag, m, and fixes per second
+ANCHOR_HEIGHT = 2.5  # of all anchors, m; heights are ambiguous by their mirror image at this plane
 
 FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType(
     {"noise": correlated_noise(STILL), "drift": gauss_markov(0.07, 0.5), "outliers": outliers(0.25, 0.19)}
@@ -32,20 +27,11 @@ FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Route:
-    """A closed route: a rectangle with rounded corners, centred on the origin, anticlockwise; lengths in m.
-
-    Raises ValueError where the corners don't fit into the rectangle.
-    """
+    """A closed route: a rectangle with rounded corners, centred on the origin, anticlockwise; lengths in m."""
 
     width: float = 10.0
     depth: float = 6.0
     radius: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not 0 < 2 * self.radius <= min(self.width, self.depth):
-            raise ValueError(
-                f"corners of {self.radius} m do not fit into a rectangle of {self.width} m × {self.depth} m"
-            )
 
     @property
     def length(self) -> float:
@@ -97,11 +83,7 @@ class Route:
 
 @dataclass(frozen=True)
 class SimulatedFixes:
-    """Fixes of n tags at T times with their truth.
-
-    `times` (T,) s; `positions` and `fixes` (n, T, 3) m; `seen` (n, T, 3); `route` (k, 2) m, the designed one;
-    `anchors` by id, m; `ids` (n,): the trajectory ids.
-    """
+    """Fixes of n tags at T times with their truth: m and s; `route`: the designed one; `ids`: the trajectory ids."""
 
     times: Float[np.ndarray, " T"]
     positions: Float[np.ndarray, "n T 3"]
@@ -135,12 +117,8 @@ def simulate_agv(
     `n`: number of trajectories, or their ids. `errors`: corruptions of the fixes by name, in order. Raises
     ValueError for a speed or corners beyond the limits of the paper's vehicle.
     """
-    sideways = speed**2 / route.radius
-    if not (0 < speed <= LARGEST_SPEED and sideways <= LARGEST_ACCELERATION):
-        raise ValueError(
-            f"speed {speed} m/s, {sideways:.3g} m/s² in corners of radius {route.radius} m: expected at most "
-            f"{LARGEST_SPEED} m/s and {LARGEST_ACCELERATION} m/s², the limits of the vehicle"
-        )
+    if not 0 < speed <= min(LARGEST_SPEED, (LARGEST_ACCELERATION * route.radius) ** 0.5):
+        raise ValueError(f"speed {speed} m/s: the vehicle reaches 2 m/s, and 2 m/s² in corners of {route.radius} m")
     ids = trajectory_ids(n)
     keys = trajectory_keys(seed, ids)
     times = np.arange(rows) / RATE_HZ

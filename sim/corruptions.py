@@ -1,11 +1,10 @@
 """Corruptions of ideal measurements: noise, drift, outliers, drop-outs, lost antennas and stations, late fixes.
 
 A corruption is a function (keys, times, values, seen) -> (values, seen): one key per trajectory, times (T,) in s,
-values (n, T, stations, antennas) and booleans of the same shape. White noise, Gauss-Markov noise and outliers take any
-(n, T, ...), in the unit of the values; the caller wraps phases after all corruptions. The functions below make
-corruptions. `corrupted` applies several by name; each draws from the random stream of its name, so that adding one
-leaves the noise of the others as it is. Of fixes (n, T, 3), m, those that act on the true path (`delayed`,
-`mirrored_heights`) belong before those that add noise.
+values (n, T, ...) and booleans of the same shape; the caller wraps phases after all corruptions. `corrupted` applies
+several by name; each draws from the random stream of its name, so that adding one leaves the noise of the others as it
+is. Of fixes (n, T, 3), m, `delayed` and `mirrored_heights` act on the true path: they belong before those that add
+noise.
 """
 
 from __future__ import annotations
@@ -37,14 +36,15 @@ def corrupted(
     return values, seen
 
 
+def added(error: Callable[[Keys, Times, Values], Values]) -> Corruption:
+    """The corruption that adds the error (keys, times, values) -> (n, T, ...) to the values."""
+    return lambda keys, times, values, seen: (values + error(keys, times, values), seen)
+
+
 def white_noise(sigma: float) -> Corruption:
     """Independent Gaussian noise of standard deviation `sigma` on every value."""
     _positive("the standard deviation of white noise", sigma)
-
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        return values + np.float32(sigma) * normals(keys, values.shape[1:]), seen
-
-    return corrupt
+    return added(lambda keys, times, values: np.float32(sigma) * normals(keys, values.shape[1:]))
 
 
 def gauss_markov(sigma: float, tau: float) -> Corruption:
@@ -77,18 +77,43 @@ def gauss_markov(sigma: float, tau: float) -> Corruption:
     return corrupt
 
 
+def constant_bias(sigma: float) -> Corruption:
+    """A constant bias of every axis, normal with standard deviation `sigma` in the unit of the values."""
+    return added(lambda keys, times, values: sigma * normals(keys, (1, values.shape[2])).astype(float))
+
+
+def random_walk(sigma: float) -> Corruption:
+    """A random-walk bias of every axis, zero at first; `sigma`: its standard deviation after 1 s."""
+
+    def walk(keys: Keys, times: Times, values: Values) -> Values:
+        steps = np.sqrt(np.diff(times, prepend=times[:1]))[:, None]
+        return sigma * np.cumsum(steps * normals(keys, values.shape[1:]).astype(float), axis=1)
+
+    return added(walk)
+
+
+def white_density(sigma: float) -> Corruption:
+    """White noise of density `sigma` (unit per √Hz), independent of the sampling rate."""
+
+    def noise(keys: Keys, times: Times, values: Values) -> Values:
+        dt = np.diff(times)
+        roots = np.sqrt(np.concatenate([dt[:1], dt]))[:, None]
+        return sigma * normals(keys, values.shape[1:]).astype(float) / roots
+
+    return added(noise)
+
+
 def outliers(probability: float, size: float) -> Corruption:
     """Outliers: with `probability`, a Gaussian error of standard deviation `size` is added to a value."""
-    _fraction("the probability of an outlier", probability)
+    fraction("the probability of an outlier", probability)
     _positive("the size of an outlier", size)
 
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
+    def error(keys: Keys, times: Times, values: Values) -> Values:
         hit = uniforms(stream(keys, "hit"), values.shape[1:]) < probability
-        error = np.float32(size) * normals(stream(keys, "error"), values.shape[1:])
         # A product: it takes a seventh of the time of `where`, which branches at random.
-        return values + hit * error, seen
+        return hit * (np.float32(size) * normals(stream(keys, "error"), values.shape[1:]))
 
-    return corrupt
+    return added(error)
 
 
 def drop_outs(probability: float, mean_length_s: float = 0.0) -> Corruption:
@@ -96,9 +121,7 @@ def drop_outs(probability: float, mean_length_s: float = 0.0) -> Corruption:
 
     A two-state Markov process in continuous time, stationary from the first row. At 0 s rows are independent.
     """
-    _fraction("the share of lost rows", probability)
-    if not mean_length_s >= 0:
-        raise ValueError(f"the mean length of a drop-out is {mean_length_s} s: expected 0 or more")
+    fraction("the share of lost rows", probability)
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         lost = in_bursts(keys, times, values.shape[2], probability, mean_length_s)
@@ -130,8 +153,6 @@ def mask_antenna(station: int, antenna: int) -> Corruption:
     """An antenna without measurements. `station` and `antenna` count from 0 in the rig's order."""
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        _index("station", station, values.shape[2])
-        _index("antenna", antenna, values.shape[3])
         seen = seen.copy()
         seen[:, :, station, antenna] = False
         return values, seen
@@ -143,7 +164,6 @@ def lose_station(station: int, from_s: float = -np.inf, to_s: float = np.inf) ->
     """A station without measurements from `from_s` until before `to_s`. `station` counts from 0 in the rig's order."""
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        _index("station", station, values.shape[2])
         seen = seen.copy()
         seen[:, (times >= from_s) & (times < to_s), station] = False
         return values, seen
@@ -152,25 +172,13 @@ def lose_station(station: int, from_s: float = -np.inf, to_s: float = np.inf) ->
 
 
 def correlated_noise(covariance: Float[np.ndarray, "i j"]) -> Corruption:
-    """White Gaussian noise with correlated axes: `covariance` (3, 3), m².
-
-    Raises ValueError for a matrix that isn't symmetric positive definite.
-    """
-    matrix = np.asarray(covariance, float)
-    if matrix.shape != (3, 3) or not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] <= 0:
-        raise ValueError(f"covariance of fixes {matrix.tolist()}: expected 3 × 3, symmetric and positive definite")
-    factor = np.linalg.cholesky(matrix)
-
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        return values + normals(keys, values.shape[1:]).astype(values.dtype) @ factor.T, seen
-
-    return corrupt
+    """White Gaussian noise with correlated axes: `covariance` (3, 3), m², symmetric and positive definite."""
+    factor = np.linalg.cholesky(np.asarray(covariance, float))
+    return added(lambda keys, times, values: normals(keys, values.shape[1:]).astype(values.dtype) @ factor.T)
 
 
 def delayed(seconds: float) -> Corruption:
     """A pure delay of the fixes by `seconds`; before its first time the tag is taken to be at rest."""
-    if not 0 <= seconds < np.inf:
-        raise ValueError(f"the latency of fixes is {seconds} s: expected 0 or more, finite")
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         then = times - seconds
@@ -180,12 +188,8 @@ def delayed(seconds: float) -> Corruption:
 
 
 def mirrored_heights(plane: float, share: float, mean_length_s: float) -> Corruption:
-    """Heights mirrored at the anchors' plane at height `plane`, m: in bursts as of `in_bursts`.
-
-    Raises ValueError unless 0 ≤ share < 1 and the length is positive.
-    """
-    if not (0 <= share < 1 and mean_length_s > 0):
-        raise ValueError(f"share = {share}, mean length {mean_length_s} s: expected 0 to below 1 and a positive length")
+    """Heights mirrored at the anchors' plane at height `plane`, m: in bursts as of `in_bursts`."""
+    fraction("the share of mirrored heights", share)
 
     def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         flipped = in_bursts(stream(keys, "mirror"), times, 1, share, mean_length_s)[..., 0]
@@ -201,11 +205,7 @@ def _positive(what: str, number: float) -> None:
         raise ValueError(f"{what} is {number}: expected a positive finite number; for none, leave the corruption out")
 
 
-def _fraction(what: str, number: float) -> None:
+def fraction(what: str, number: float) -> None:
+    """Raises ValueError for a number that is no share below 1."""
     if not 0 <= number < 1:
         raise ValueError(f"{what} is {number}: expected 0 to below 1")
-
-
-def _index(what: str, number: int, count: int) -> None:
-    if not 0 <= number < count:
-        raise ValueError(f"{what} {number} does not exist: the rig has {count}, counted from 0")

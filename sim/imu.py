@@ -1,40 +1,36 @@
-"""An IMU on a moving body: ideal measurements along a true path with attitude, and the errors of real ones.
-
-The corruptions here act on accelerations or angular rates (n, T, 3), as do others in `sim.corruptions` that take any
-shape. Ranges to the same body: `sim.ranging`; range differences: `sim.differences`.
-"""
+"""An IMU on a moving body: ideal measurements along a true path with attitude, and the errors of real ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from types import MappingProxyType
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trackwright.sim.corruptions import Corruption, Seen, Times, Values, corrupted
-from trackwright.sim.differences import SimulatedDifferences
+from trackwright.sim.corruptions import Corruption, Times, constant_bias, corrupted, random_walk, white_density
 from trackwright.sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
 from trackwright.sim.paths import PathFunction
-from trackwright.sim.ranging import WALK, Protocol, SimulatedRanges, round_robin, simulate_ranges
-from trackwright.sim.tables import AXES, ArrayRows, OnDemand, folder_of
+from trackwright.sim.ranging import (
+    WALK,
+    Protocol,
+    SimulatedDifferences,
+    SimulatedRanges,
+    round_robin,
+    simulate_ranges,
+)
+from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.state import Rotation
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import RecordingFolder
 
-GRAVITY = 9.81
-
-_WAVES = 8
-
-SAMPLES = 3
-"""Samples of an IMU for each row of ranges."""
+GRAVITY, _WAVES = 9.81, 8
+SAMPLES = 3  # of an IMU for each row of ranges
 
 Vectors = Float[np.ndarray, "n T 3"]
 Attitudes = Float[np.ndarray, "n T 4"]
@@ -90,11 +86,10 @@ def _in_body(
     force: Float[np.ndarray, "n intervals 3"], attitudes: Attitudes
 ) -> tuple[Float[np.ndarray, "n intervals 3"], Float[np.ndarray, "n intervals 3"]]:
     """Forces (n, T − 1, 3) rotated from room to body axes half-way between two attitudes, and the rotation vectors."""
+    given = (force, attitudes[:, :-1], attitudes[:, 1:])
     with jax.enable_x64(True):
-        result = _in_body_each(
-            *(jnp.asarray(np.asarray(x, np.float64)) for x in (force, attitudes[:, :-1], attitudes[:, 1:]))
-        )
-        return np.asarray(result[0]), np.asarray(result[1])
+        turned, turn = _in_body_each(*(jnp.asarray(np.asarray(x, np.float64)) for x in given))
+        return np.asarray(turned), np.asarray(turn)
 
 
 @jax.jit
@@ -109,36 +104,6 @@ def _in_body_each(
     return middle.inverse().apply(Vector(*force)).array(), jnp.stack(turn)
 
 
-def constant_bias(sigma: float) -> Corruption:
-    """A constant bias of every axis, normal with standard deviation `sigma` in the unit of the values."""
-
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        return values + sigma * normals(keys, (1, values.shape[2])).astype(float), seen
-
-    return corrupt
-
-
-def random_walk(sigma: float) -> Corruption:
-    """A random-walk bias of every axis, zero at first; `sigma`: its standard deviation after 1 s."""
-
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        steps = np.sqrt(np.diff(times, prepend=times[:1]))[:, None]
-        return values + sigma * np.cumsum(steps * normals(keys, values.shape[1:]).astype(float), axis=1), seen
-
-    return corrupt
-
-
-def white_density(sigma: float) -> Corruption:
-    """White noise of density `sigma` (unit per √Hz), independent of the sampling rate."""
-
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        dt = np.diff(times)
-        roots = np.sqrt(np.concatenate([dt[:1], dt]))[:, None]
-        return values + sigma * normals(keys, values.shape[1:]).astype(float) / roots, seen
-
-    return corrupt
-
-
 MEMS_ACCEL: Mapping[str, Corruption] = MappingProxyType(
     {"bias": constant_bias(0.1), "walk": random_walk(0.005), "noise": white_density(0.02)}
 )
@@ -150,57 +115,39 @@ MEMS_GYRO: Mapping[str, Corruption] = MappingProxyType(
 """Errors of a low-cost gyroscope, rad/s."""
 
 
-class Samples(NamedTuple):
-    """Samples of n IMUs at S times: `accel`, `gyro` (n, S, 3) m/s² and rad/s, and the true `attitudes` (n, S, 4)."""
-
-    accel: Float[np.ndarray, "n S 3"]
-    gyro: Float[np.ndarray, "n S 3"]
-    attitudes: Float[np.ndarray, "n S 4"]
-
-
 @dataclass(frozen=True)
 class SimulatedUwbImu:
     """Ranges, or range differences, and IMU samples of n bodies with their truth.
 
-    `readings`: those to the anchors, and their times. `times` (S,) s, of the IMU samples; `positions` (n, S, 3) m, the
-    truth at these times; `seen` (n, S): the samples that are not missing. `sample`: makes the samples, when they are
-    first read.
+    `readings`: those to the anchors, and their times. `times` (S,) s, of the IMU samples; at these times `positions`
+    (n, S, 3) m and `attitudes` (n, S, 4), the truth, and `accel`, `gyro` (n, S, 3) m/s² and rad/s, zero where not
+    `seen` (n, S).
     """
 
     readings: SimulatedRanges | SimulatedDifferences
     times: Float[np.ndarray, " S"]
     positions: Float[np.ndarray, "n S 3"]
     seen: Bool[np.ndarray, "n S"]
-    sample: Callable[[], Samples]
+    accel: Float[np.ndarray, "n S 3"]
+    gyro: Float[np.ndarray, "n S 3"]
+    attitudes: Float[np.ndarray, "n S 4"]
 
     @property
     def ids(self) -> Int[np.ndarray, " n"]:
         """The trajectory ids (n,)."""
         return self.readings.ids
 
-    @cached_property
-    def samples(self) -> Samples:
-        """The samples of the IMUs, zero where not `seen`, and the true attitudes at their times."""
-        return self.sample()
-
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder of the readings, with IMU samples, and truth with attitudes at the samples' times."""
-        rig = self.readings.folder(name).rig
-        true = OnDemand({AXES: lambda: self.positions, QUATERNION: lambda: self.samples.attitudes})
-        tables: dict[str, Callable[[], ArrayRows]] = {
-            self.readings.table: self.readings.rows,
-            "truth": lambda: ArrayRows.regular(self.times, self.ids, true),
-            "imu": self._imu_rows,
+        rig, (tag, row) = self.readings.folder(name).rig, np.nonzero(self.seen)
+        accel = {tuple(f"accel_{axis}_mps2" for axis in "xyz"): self.accel[self.seen]}
+        gyro = {tuple(f"gyro_{axis}_radps" for axis in "xyz"): self.gyro[self.seen]}
+        tables = {
+            self.readings.table: self.readings.rows(),
+            "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions, QUATERNION: self.attitudes}),
+            "imu": ArrayRows.of_entries(tag, self.ids, self.times[row], accel | gyro),
         }
-        return folder_of(name, OnDemand(tables), rig.tags, anchors=rig.anchors)
-
-    def _imu_rows(self) -> ArrayRows:
-        tag, row = np.nonzero(self.seen)
-        accel, gyro = (
-            tuple(f"{what}_{axis}_{unit}" for axis in "xyz") for what, unit in (("accel", "mps2"), ("gyro", "radps"))
-        )
-        columns = {accel: self.samples.accel[self.seen], gyro: self.samples.gyro[self.seen]}
-        return ArrayRows.of_entries(tag, self.ids, self.times[row], columns)
+        return folder_of(name, tables, rig.tags, anchors=rig.anchors)
 
 
 def simulate_uwb_imu(
@@ -246,22 +193,17 @@ def with_imu(
 
     Further arguments as in `simulate_uwb_imu`.
     """
-    keys = trajectory_keys(seed, readings.ids)
-    (positions,) = in_blocks(lambda keys: (path(stream(keys, "path"), times),), keys, size=32)
     seen = np.ones((len(readings.ids), len(times)), bool)
     if gap_s is not None:
         seen &= ~((times >= gap_s[0]) & (times < gap_s[1]))
 
-    def sampled(keys: Keys, positions: Vectors, seen: Bool[np.ndarray, "n T"]) -> Samples:
-        attitudes = attitude(stream(keys, "attitude"), times)
+    def sampled(keys: Keys, seen: Bool[np.ndarray, "n T"]) -> tuple[np.ndarray, ...]:
+        positions, attitudes = path(stream(keys, "path"), times), attitude(stream(keys, "attitude"), times)
         force, rate = ideal_readings(times, positions, attitudes)
         all_seen = np.ones(force.shape, bool)
         force, _ = corrupted(accel, stream(keys, "accelerometer"), times, force, all_seen)
         rate, _ = corrupted(gyro, stream(keys, "gyro"), times, rate, all_seen)
-        force, rate = (np.where(seen[..., None], x, 0.0) for x in (force, rate))
-        return Samples(force, rate, attitudes)
+        return positions, *(np.where(seen[..., None], x, 0.0) for x in (force, rate)), attitudes
 
-    def sample() -> Samples:
-        return Samples(*in_blocks(sampled, keys, positions, seen, size=32))
-
-    return SimulatedUwbImu(readings, times, positions, seen, sample)
+    positions, force, rate, attitudes = in_blocks(sampled, trajectory_keys(seed, readings.ids), seen, size=32)
+    return SimulatedUwbImu(readings, times, positions, seen, force, rate, attitudes)

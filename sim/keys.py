@@ -22,7 +22,6 @@ from trackwright.trackers.core.model.keys import threefry
 Keys = Key[jax.Array, " n"]
 """Typed keys of JAX, one per trajectory."""
 
-LARGEST_ID = 2**32 - 1
 _GENERATOR = "threefry2x32"
 
 
@@ -37,10 +36,9 @@ def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
     Raises ValueError for ids that aren't whole numbers from 0 to 2³² − 1.
     """
     numbers = np.asarray(ids)
-    if numbers.ndim != 1 or not np.issubdtype(numbers.dtype, np.integer):
-        raise ValueError(f"trajectory ids are a list of whole numbers, found {numbers.dtype} of shape {numbers.shape}")
-    if numbers.size and not (numbers.min() >= 0 and numbers.max() <= LARGEST_ID):
-        raise ValueError(f"trajectory ids lie in 0..{LARGEST_ID}, found {numbers.min()}..{numbers.max()}")
+    whole = numbers.ndim == 1 and np.issubdtype(numbers.dtype, np.integer)
+    if not whole or not np.all((numbers >= 0) & (numbers < 2**32)):
+        raise ValueError(f"trajectory ids are a list of whole numbers from 0 to 2**32 - 1, found {numbers!r}")
     return _fold_each(jax.random.key(seed, impl=_GENERATOR), jnp.asarray(numbers.astype(np.uint32)))
 
 
@@ -62,10 +60,9 @@ def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float32[np.ndarray, "n *shap
 def in_blocks(
     draw: Callable[..., tuple[np.ndarray, ...]], keys: Keys, *arrays: Shaped[np.ndarray, "n ..."], size: int = 256
 ) -> tuple[Shaped[np.ndarray, "n ..."], ...]:
-    """The arrays (n, …) of `draw(keys, *arrays)`, drawn for `size` trajectories at a time.
+    """The arrays (n, …) of `draw(keys, *arrays)`, drawn for `size` trajectories at a time, which fit the cache.
 
-    The numbers of a block fit the processor's cache, and memory is taken from the system once. All blocks have one
-    shape, the last one padded: nothing is compiled twice.
+    All blocks have one shape, the last one padded: nothing is compiled twice.
     """
     count = len(keys)
     if count <= size:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -19,17 +19,13 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 THESIS_KNOTS = np.array([[2.615, 8.26], [6.665, 8.26], [6.665, 6.151], [2.615, 6.151], [2.615, 4.065], [6.665, 4.065]])
 """The corners of the path, m: Table 2.1 with the millimetres of equation (2.5)."""
 
-TAG_HEIGHT = 0.78
-"""Metres above the floor at which the cart carries its tag (section 2.5)."""
+TAG_HEIGHT = 0.78  # metres above the floor at which the cart carries its tag (section 2.5)
 
 FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType({"white": white_noise(0.22), "slow": gauss_markov(0.22, 1.5)})
 """A mean error of 0.39 m, as in Table 3.1, whose ratios white noise alone does not reproduce."""
 
 Lengths = Float[np.ndarray, " k"]
 Durations = Float[np.ndarray, "n k"]
-
-Situation = Callable[[Keys, Lengths, float], tuple[Durations, Durations]]
-"""(keys, lengths of the segments, mean speed) -> travel time on each segment and rest after it, both (n, k), s."""
 
 
 def constant_speed(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
@@ -56,19 +52,14 @@ def speed_changes(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations
     return travel, np.zeros_like(travel)
 
 
-SITUATIONS: Mapping[str, Situation] = MappingProxyType(
-    {"constant": constant_speed, "halts": halts, "speeds": speed_changes}
-)
-"""The three situations of section 2.5."""
+SITUATIONS = MappingProxyType({"constant": constant_speed, "halts": halts, "speeds": speed_changes})
+"""The three situations of section 2.5: of keys, lengths and mean speed the travel time on each segment and the rest
+after it, both (n, k), s."""
 
 
 @dataclass(frozen=True)
 class SimulatedLine:
-    """Fixes of n tags at T times with their truth.
-
-    `times` (T,) s; `arclength` (n, T) m; `positions` and `fixes` (n, T, 2) m; `seen` (n, T, 2); `knots` (k, 2) m;
-    `ids` (n,): the trajectory ids.
-    """
+    """Fixes of n tags at T times with their truth: m and s; `ids`: the trajectory ids."""
 
     times: Float[np.ndarray, " T"]
     arclength: Float[np.ndarray, "n T"]
@@ -91,7 +82,7 @@ class SimulatedLine:
 
 
 def simulate_line(
-    situation: str | Situation = "constant",
+    situation: str = "constant",
     n: int | Sequence[int] | np.ndarray = 1,
     seed: int = 0,
     *,
@@ -106,27 +97,22 @@ def simulate_line(
 
     `n`: number of trajectories, or their ids. `errors`: corruptions of the fixes by name, in order. `carried_off`:
     start and end, s, of the time that the tag spends off the line, and its offset then, (dx, dy) m. The thesis prints
-    neither speeds nor rate. Raises ValueError for an unknown situation, a speed or rate that isn't positive and a
-    negative rest.
+    neither speeds nor rate.
     """
-    if isinstance(situation, str) and situation not in SITUATIONS:
-        raise ValueError(f"situation '{situation}' is unknown, expected one of {', '.join(SITUATIONS)}")
-    if not (speed > 0 and rest_s >= 0 and rate_hz > 0):
-        raise ValueError(f"speed {speed} m/s, rest {rest_s} s, rate {rate_hz} Hz: expected positive numbers")
-    line = Polyline(knots)
-    lengths = np.asarray(line.lengths)
+    lengths = np.asarray(Polyline(knots).lengths)
     ids = trajectory_ids(n)
     keys = trajectory_keys(seed, ids)
-    travel, rest = (SITUATIONS[situation] if isinstance(situation, str) else situation)(keys, lengths, speed)
+    travel, rest = SITUATIONS[situation](keys, lengths, speed)
     legs = np.stack([travel, rest], axis=-1).reshape(len(ids), -1)
     ends = rest_s + np.concatenate([np.zeros((len(ids), 1)), np.cumsum(legs, axis=1)], axis=1)
     # In every situation all tags have the same duration, so that one tag does not depend on the others.
     times = np.arange(int(np.floor((ends[0, -1] + rest_s) * rate_hz)) + 1) / rate_hz
     marks = np.concatenate([[0.0], np.repeat(np.cumsum(lengths), 2)])
+    corners = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(np.asarray(knots, float), axis=0) ** 2).sum(axis=1)))])
 
     def travelled(keys: Keys, ends: np.ndarray) -> tuple[np.ndarray, ...]:
         arclength = np.stack([np.interp(times, row, marks) for row in ends])
-        positions = along(knots, arclength)
+        positions = np.stack([np.interp(arclength, corners, axis) for axis in np.asarray(knots, float).T], axis=-1)
         if carried_off is not None:
             start, stop, offset = carried_off
             away = (times >= start) & (times < stop)
@@ -135,10 +121,3 @@ def simulate_line(
 
     arclength, positions, fixes, seen = in_blocks(travelled, keys, ends)
     return SimulatedLine(times, arclength, positions, fixes, seen, np.asarray(knots, float), ids)
-
-
-def along(knots: Float[np.ndarray, "k 2"], arclength: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows 2"]:
-    """Positions (..., 2), m, at the arc lengths, m, along the path through `knots` (k, 2), m."""
-    knots = np.asarray(knots, float)
-    marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))])
-    return np.stack([np.interp(arclength, marks, axis) for axis in knots.T], axis=-1)

@@ -1,14 +1,13 @@
 """True paths: positions (n, T, 3) in metres, float64, one trajectory per key.
 
-A path is a function of keys (n,) and times (T,) in seconds, which rise but need not be regular. The functions here take
-further arguments, such as the volume that holds the path, lower and upper corner (2, 3); a `functools.partial` of one,
-or a function of your own, is a path for `simulate_phases`, `simulate_ranges` and `simulate_uwb_imu`.
+A path is a function of keys (n,) and times (T,) in seconds, which rise but need not be regular: one of these, with a
+`volume` lower and upper corner (2, 3), a `functools.partial` of one, or a function of your own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache, partial
+from functools import cache
 from types import MappingProxyType
 
 import numpy as np
@@ -32,35 +31,18 @@ _SQUASH = 0.8
 
 
 def helix(
-    keys: Keys,
-    times: Times,
-    volume: Volume = WORK_VOLUME,
-    *,
-    turns: float = 3.0,
-    radius: float = 0.4,
-    varied: bool = False,
+    keys: Keys, times: Times, volume: Volume = WORK_VOLUME, *, turns: float = 3.0, radius: float = 0.4
 ) -> Positions:
     """A helix (n, T, 3) about the volume's centre, from its floor at the first time to its lid at the last.
 
-    All trajectories are the same unless `varied`: then start angle, sense of rotation and centre are random. `radius`
-    in m. Raises ValueError where the helix does not fit into the volume. Source: paper A, section 4 (200 points).
+    All trajectories are the same. `radius` in m. Source: paper A, section 4 (200 points).
     """
     lower, upper = np.asarray(volume, float)
-    middle, half = (lower + upper) / 2, (upper - lower) / 2
-    room = half[:2] - radius
-    if not (radius > 0 and np.all(room >= 0)):
-        raise ValueError(f"a helix of radius {radius} m does not fit into {2 * half[0]} m x {2 * half[1]} m")
-    draws = np.full((len(keys), 4), 0.5)
-    if varied:
-        draws = uniforms(stream(keys, "helix"), (4,)).astype(float)
-    start = 2 * np.pi * (draws[:, :1] - 0.5)
-    sense = np.where(draws[:, 1:2] < 0.5, -1.0, 1.0)
-    centre = middle[:2] + (2 * draws[:, None, 2:] - 1) * room
-
-    progress = _progress(times)
-    angle = start + sense * (2 * np.pi * turns) * progress
+    t = np.asarray(times, float) - times[0]
+    progress = t / t[-1] if t[-1] > 0 else t
+    angle = (2 * np.pi * turns) * progress
     path = np.empty((len(keys), len(progress), 3))
-    path[..., :2] = centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    path[..., :2] = (lower + upper)[:2] / 2 + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     path[..., 2] = lower[2] + (upper[2] - lower[2]) * progress
     return np.clip(path, lower, upper)
 
@@ -71,10 +53,8 @@ def hand_motion(keys: Keys, times: Times, volume: Volume = WORK_VOLUME, *, speed
     `speed`: the root mean square of the three-dimensional speed over the ensemble, m/s. With H the root sum of squares
     of the volume's half sides (0.72 m for the work volume) the root mean square acceleration is 2.9 speed² / H and the
     highest frequency before squashing 0.46 speed / H (0.19 Hz at 0.3 m/s). A path is nearly periodic, with a period of
-    64 times that frequency's. Raises ValueError for a speed that isn't positive.
+    64 times that frequency's.
     """
-    if not speed > 0:
-        raise ValueError(f"speed = {speed} m/s: expected a positive number")
     lower, upper = np.asarray(volume, float)
     half = (upper - lower) / 2
     fractions = (np.arange(_HARMONICS) + 0.5) / _HARMONICS
@@ -89,95 +69,33 @@ def hand_motion(keys: Keys, times: Times, volume: Volume = WORK_VOLUME, *, speed
     return np.clip((lower + upper) / 2 + half * np.tanh(_SQUASH * noise), lower, upper)
 
 
-def straight_lines_with_halts(
-    keys: Keys, times: Times, volume: Volume = WORK_VOLUME, *, speed: float = 0.3, halt_s: float = 1.0
-) -> Positions:
-    """Straight lines (n, T, 3) at constant speed between random positions in the volume, with a halt at each.
-
-    `speed` in m/s; each path begins with a halt of `halt_s` seconds. Raises ValueError unless both are positive.
-    """
-    _both_positive(speed, "halt_s", halt_s)
-    lower, upper = np.asarray(volume, float)
-    n_lines = _enough(times, halt_s)
-    stops = lower + (upper - lower) * uniforms(stream(keys, "straight lines"), (n_lines + 1, 3)).astype(float)
-    durations = np.maximum(_lengths(stops) / speed, np.finfo(float).tiny)
-    return np.clip(_with_stops(times, stops, durations, halt_s, lambda s: s), lower, upper)
-
-
 def point_to_point(
     keys: Keys, times: Times, points: Float[np.ndarray, "K 3"], *, speed: float = 0.3, rest_s: float = 1.0
 ) -> Positions:
     """Point-to-point hand motion (n, T, 3): random visits of `points` (K, 3), m, K at least 2, at rest on each.
 
     Each path begins with a rest of `rest_s` seconds; no point follows itself. Motions between points are straight and
-    of minimum jerk (Flash & Hogan 1985), at a mean `speed` in m/s and in no less than 0.25 s. Raises ValueError for a
-    single point, and unless speed and rest are positive.
+    of minimum jerk (Flash & Hogan 1985), at a mean `speed` in m/s and in no less than 0.25 s.
     """
-    if len(points) < 2:
-        raise ValueError(f"point-to-point motion needs at least 2 points, found {len(points)}")
-    _both_positive(speed, "rest_s", rest_s)
-    count = _enough(times, rest_s)
+    # So many rests exceed the duration, whatever lies between them.
+    count = int(np.ceil((times[-1] - times[0]) / rest_s)) + 1
     draws = uniforms(stream(keys, "round"), (count + 1,)).astype(float)
     first = np.minimum((draws[:, :1] * len(points)).astype(int), len(points) - 1)
     # The index of the next point is 1 to K - 1 higher, modulo K.
     steps = 1 + np.minimum((draws[:, 1:] * (len(points) - 1)).astype(int), len(points) - 2)
-    order = np.concatenate([first, first + np.cumsum(steps, axis=1)], axis=1) % len(points)
-    stops = np.asarray(points, float)[order]
-    durations = np.maximum(_lengths(stops) / speed, 0.25)
-    return _with_stops(times, stops, durations, rest_s, lambda s: s**3 * (10 - 15 * s + 6 * s**2))
-
-
-PATHS: Mapping[str, PathFunction] = MappingProxyType(
-    {
-        "helix": helix,
-        "varied-helix": partial(helix, varied=True),
-        "hand": hand_motion,
-        "lines": straight_lines_with_halts,
-    }
-)
-"""Paths in the work volume by name."""
-
-
-def _both_positive(speed: float, rest: str, seconds: float) -> None:
-    if not (speed > 0 and seconds > 0):
-        raise ValueError(f"speed = {speed} m/s, {rest} = {seconds} s: expected positive numbers")
-
-
-def _enough(times: Times, rest_s: float) -> int:
-    """The number of rests of `rest_s` seconds that together exceed the duration, whatever lies between them."""
-    return int(np.ceil((times[-1] - times[0]) / rest_s)) + 1
-
-
-def _lengths(stops: Float[np.ndarray, "n stops 3"]) -> Float[np.ndarray, "n motions"]:
-    """Distances (n, k), m, between successive stops (n, k + 1, 3)."""
-    return np.sqrt((np.diff(stops, axis=1) ** 2).sum(axis=-1))
-
-
-def _with_stops(
-    times: Times,
-    stops: Float[np.ndarray, "n stops 3"],
-    durations: Float[np.ndarray, "n motions"],
-    rest_s: float,
-    profile: Callable[[np.ndarray], np.ndarray],
-) -> Positions:
-    """Paths (n, T, 3) through stops (n, k + 1, 3), each with a rest; `durations` (n, k) s of the motions between them.
-
-    `profile`: the share of the distance covered as a function of the share of the duration, both 0 to 1.
-    """
-    t = np.asarray(times, float) - times[0]
-    motions = np.diff(stops, axis=1)
-    ends = np.cumsum(rest_s + durations, axis=1)
+    stops = np.asarray(points, float)[np.concatenate([first, first + np.cumsum(steps, axis=1)], axis=1) % len(points)]
+    t, motions = np.asarray(times, float) - times[0], np.diff(stops, axis=1)
+    durations = np.maximum(np.sqrt((motions**2).sum(axis=-1)) / speed, 0.25)
+    starts = np.cumsum(rest_s + durations, axis=1) - durations
     path = np.repeat(stops[:, :1], len(t), axis=1)
     for k in range(motions.shape[1]):
-        share = np.clip((t - (ends[:, k, None] - durations[:, k, None])) / durations[:, k, None], 0.0, 1.0)
-        path += profile(share)[..., None] * motions[:, k, None]
+        s = np.clip((t - starts[:, k, None]) / durations[:, k, None], 0.0, 1.0)
+        path += (s**3 * (10 - 15 * s + 6 * s**2))[..., None] * motions[:, k, None]
     return path
 
 
-def _progress(times: Times) -> Times:
-    """The elapsed share of the duration (T,), 0 to 1; 0 for a single time."""
-    t = np.asarray(times, float) - times[0]
-    return t / t[-1] if t[-1] > 0 else t
+PATHS: Mapping[str, PathFunction] = MappingProxyType({"helix": helix, "hand": hand_motion})
+"""Paths in the work volume by name."""
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Ranges between tags and anchors: two-way ranging with clock drift, and corruptions of ranges (n, T, anchors), m.
+"""Ranges and range differences (TDoA) between tags and anchors, of tags alone and of several on a trolley, in m.
 
 `drop_outs`, `white_noise`, `gauss_markov` and `outliers` of `sim.corruptions` apply to ranges, too.
 """
@@ -9,23 +9,37 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
-from trackwright.sim.corruptions import Corruption, Seen, Times, Values, corrupted, in_bursts
+from trackwright.sim.corruptions import (
+    Corruption,
+    Seen,
+    Times,
+    Values,
+    added,
+    corrupted,
+    fraction,
+    in_bursts,
+    white_density,
+)
 from trackwright.sim.keys import Keys, in_blocks, normals, stream, trajectory_ids, trajectory_keys, uniforms
 from trackwright.sim.paths import PathFunction, hand_motion
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT, double_sided, single_sided
+from trackwright.trackers.recordings.columns import QUATERNION
+from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT, double_sided
 
 Ranges = Float[np.ndarray, "n T anchors"]
 
 CHAMBER = np.array([[0.0, 0.0, 0.3], [5.0, 0.0, 2.5], [5.0, 5.0, 0.3], [0.0, 5.0, 2.5]])
 """Four anchors 5 m apart, m, as in the paper's chamber (section 4.1); heights, not printed, alternate low and high."""
+
+# Eight anchors, m, in the corners of the chamber, near the floor and below the ceiling.
+CORNERS = np.array([[x, y, z] for z in (0.3, 2.5) for x, y in ((0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0))])
 
 WALK_VOLUME = np.array([[0.8, 0.8, 0.8], [4.2, 4.2, 1.6]])
 """The volume of the tags' paths in the chamber, lower and upper corner, m."""
@@ -39,21 +53,12 @@ class Protocol:
     """A two-way ranging protocol: an anchor polls, the tag replies after `reply_s`, each with its own clock.
 
     `drift`: standard deviation of the relative clock rates; crystals have 1e-5. `sigma_stamp`: noise of a time stamp,
-    s. `double_sided`: whether a second exchange cancels the drift; otherwise 1e-5 over 0.3 ms is an error of half a
-    metre.
+    s. A second exchange cancels most of the drift.
     """
 
     reply_s: float = 0.3e-3
     drift: float = 1e-5
     sigma_stamp: float = 1e-10
-    double_sided: bool = True
-
-    def __post_init__(self) -> None:
-        if not (self.reply_s > 0 and self.drift >= 0 and self.sigma_stamp >= 0):
-            raise ValueError(
-                f"reply_s = {self.reply_s}, drift = {self.drift}, sigma_stamp = {self.sigma_stamp}: expected a "
-                "positive time, and drift and noise of 0 or more"
-            )
 
 
 def two_way_ranges(keys: Keys, distances: Ranges, protocol: Protocol) -> Ranges:
@@ -68,8 +73,6 @@ def two_way_ranges(keys: Keys, distances: Ranges, protocol: Protocol) -> Ranges:
     reply = protocol.reply_s
     total = (2.0 * flight + reply) * anchor + reply_received - poll_sent
     wait = reply * tag + reply_sent - poll_received
-    if not protocol.double_sided:
-        return single_sided(total, wait)
     second_total = (2.0 * flight + reply) * tag + final_received - reply_sent
     second_wait = reply * anchor + final_sent - reply_received
     return double_sided(total, wait, second_total, second_wait)
@@ -77,12 +80,7 @@ def two_way_ranges(keys: Keys, distances: Ranges, protocol: Protocol) -> Ranges:
 
 def antenna_biases(sigma: float) -> Corruption:
     """A constant bias of each anchor's ranges, m, normal with mean zero: uncalibrated antenna delays."""
-
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        biases = sigma * normals(keys, (values.shape[2],))
-        return values + biases[:, None, :].astype(values.dtype), seen
-
-    return corrupt
+    return added(lambda keys, times, values: (sigma * normals(keys, values.shape[2:3]))[:, None].astype(values.dtype))
 
 
 def obstruction(share: float, mean_length_s: float, bias: float, tail: float) -> Corruption:
@@ -90,19 +88,14 @@ def obstruction(share: float, mean_length_s: float, bias: float, tail: float) ->
 
     Meanwhile its ranges are too long by `bias` m plus exponential noise of mean `tail` m.
     """
-    if not (0 <= share < 1 and mean_length_s >= 0 and bias >= 0 and tail >= 0):
-        raise ValueError(
-            f"share = {share}, mean length {mean_length_s} s, bias {bias} m, tail {tail} m: expected a share from 0 to "
-            "below 1, the others 0 or more"
-        )
+    fraction("the share of the time without line of sight", share)
 
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
+    def detour(keys: Keys, times: Times, values: Values) -> Values:
         hidden = in_bursts(stream(keys, "hidden"), times, values.shape[2], share, mean_length_s)
         draws = uniforms(stream(keys, "detour"), values.shape[1:]).astype(float)
-        detour = bias - tail * np.log1p(-draws)
-        return values + np.where(hidden, detour, 0.0).astype(values.dtype), seen
+        return np.where(hidden, bias - tail * np.log1p(-draws), 0.0).astype(values.dtype)
 
-    return corrupt
+    return added(detour)
 
 
 def on_anchors(anchors: Sequence[int], corruption: Corruption) -> Corruption:
@@ -129,10 +122,9 @@ def round_robin() -> Corruption:
 
 @dataclass(frozen=True)
 class SimulatedRanges:
-    """Ranges of n tags at T times with their truth.
+    """Ranges of n tags at T times with their truth: m and s, anchors in the order of `rig.anchors`.
 
-    `times` (T,) s; `positions` (n, T, 3) m; `ranges` (n, T, anchors) m, anchors in the order of `rig.anchors`, zero
-    where not `seen`; `ids` (n,): the trajectory ids.
+    `ranges` are zero where not `seen`; `ids`: the trajectory ids.
     """
 
     table: ClassVar[str] = "ranges"
@@ -187,11 +179,8 @@ def simulate_ranges(
 ) -> SimulatedRanges:
     """Trajectories, `n` or with the ids `n`, of `n_points` rows of ranges to all anchors of the rig, with truth.
 
-    `corruptions`: by name, which is the random stream, in order. A trajectory depends on the seed and its id alone.
-    Raises ValueError for a rig without anchors.
+    `corruptions`: by name, which is the random stream, in order.
     """
-    if not rig.anchors:
-        raise ValueError("ranges need anchors, found a rig without")
     ids = trajectory_ids(n)
     keys = trajectory_keys(seed, ids)
     times = np.arange(n_points) / rate_hz
@@ -207,3 +196,200 @@ def simulate_ranges(
 
     positions, ranges, seen = in_blocks(ranged, keys, size=32)
     return SimulatedRanges(times, positions, ranges, seen, rig, ids)
+
+
+Schedule = Literal["messages", "turns"]
+"""At each time the differences of all anchors heard from the first of them; or one, of two neighbours in turn."""
+
+
+@dataclass(frozen=True)
+class SimulatedDifferences:
+    """Times of arrival at n tags at T times, as distances, with their truth, and the differences that are reported.
+
+    `arrivals` in m, up to an offset common to the anchors of a time, in the order of `rig.anchors`, where `heard`.
+    """
+
+    table: ClassVar[str] = "tdoa"
+
+    times: Times
+    positions: Float[np.ndarray, "n T 3"]
+    arrivals: Ranges
+    heard: Bool[np.ndarray, "n T anchors"]
+    rig: Rig
+    ids: Int[np.ndarray, " n"]
+    schedule: Schedule = "messages"
+
+    def rows(self) -> ArrayRows:
+        """A row per difference."""
+        count = self.heard.shape[2]
+        if self.schedule == "messages":
+            first = np.broadcast_to(np.argmax(self.heard, axis=2)[..., None], self.heard.shape)
+            tag, row, anchor = np.nonzero(self.heard & (np.arange(count) != first))
+            other = first[tag, row, anchor]
+        else:
+            turn = np.arange(len(self.times)) % count
+            both = self.heard[:, np.arange(len(turn)), turn] & self.heard[:, np.arange(len(turn)), turn - 1]
+            tag, row = np.nonzero(both)
+            anchor, other = turn[row], (turn[row] - 1) % count
+        differences = self.arrivals[tag, row, anchor] - self.arrivals[tag, row, other]
+        names = list(self.rig.anchors)
+        return ArrayRows.of_entries(
+            tag,
+            self.ids,
+            self.times[row],
+            {("range_difference_m",): differences.astype(float)[:, None]},
+            {"anchor": (anchor, names), "anchor_2": (other, names)},
+        )
+
+    def folder(self, name: str) -> RecordingFolder:
+        """The recording folder: a row per difference, truth in space."""
+        tables = {self.table: self.rows(), "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
+        return folder_of(name, tables, self.ids, anchors=self.rig.anchors)
+
+
+def simulate_differences(
+    rig: Rig,
+    path: PathFunction = WALK,
+    n: int | Sequence[int] | np.ndarray = 1,
+    seed: int = 0,
+    *,
+    rate_hz: float = 10.0,
+    n_points: int = 200,
+    schedule: Schedule = "messages",
+    corruptions: Mapping[str, Corruption] = MappingProxyType({}),
+) -> SimulatedDifferences:
+    """Trajectories, `n` or with the ids `n`, of `n_points` times of range differences, with truth.
+
+    `corruptions`: of the times of arrival (n, T, anchors), m, by name, in order: the noise of an arrival is in all
+    differences with its anchor.
+    """
+    ids = trajectory_ids(n)
+    times = np.arange(n_points) / rate_hz
+    anchors = np.stack(list(rig.anchors.values()))
+
+    def arrived(keys: Keys) -> tuple[np.ndarray, ...]:
+        positions = path(stream(keys, "path"), times)
+        arrivals = distances_to(anchors, positions)
+        heard = np.ones(arrivals.shape, bool)
+        return positions, *corrupted(corruptions, stream(keys, "corruptions"), times, arrivals, heard)
+
+    positions, arrivals, heard = in_blocks(arrived, trajectory_keys(seed, ids), size=32)
+    return SimulatedDifferences(times, positions, arrivals, heard, rig, ids, schedule)
+
+
+OFFSETS = np.array([[0.0, 0.0, 0.0], [0.5, 0.25, 0.0], [0.5, -0.25, 0.0]])
+"""Places of the tags on a trolley, m, ahead and to the left of the middle of its axle."""
+
+# Of the trolleys' rounds in the chamber, m and m/s; the height is the tags'.
+CENTRE, RADIUS, WANDER, SPEED = np.array([2.5, 2.5, 1.0]), 1.2, np.array([0.5, 0.5, 0.0]), 0.5
+
+
+def rounds(keys: Keys, times: Times) -> Float[np.ndarray, "n T 3"]:
+    """Paths (n, T, 3), m, round the middle of the chamber at about 0.5 m/s, either way.
+
+    A smooth random motion is added, a fifth as fast, so that a trolley neither stops nor turns on the spot.
+    """
+    start, way = uniforms(stream(keys, "round"), (2,)).astype(float).T[..., None]
+    angle = 2 * np.pi * start + np.where(way < 0.5, -1.0, 1.0) * (SPEED / RADIUS) * times
+    circle = RADIUS * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
+    return circle + hand_motion(keys, times, np.stack([CENTRE - WANDER, CENTRE + WANDER]), speed=SPEED / 5)
+
+
+@dataclass(frozen=True)
+class SimulatedBodies:
+    """Ranges of the tags of n trolleys at T times, and odometry, with truth.
+
+    `positions` (n, T, tags, 3) m; `headings` (n, T) rad; `ranges` (n, T, tags, A) m, where `seen`; `odometry`
+    (n, T − 1, 2): forward speed, m/s, and turning rate, rad/s, of each time until the next, None without wheels.
+    """
+
+    times: Times
+    positions: Float[np.ndarray, "n T tags 3"]
+    headings: Float[np.ndarray, "n T"]
+    ranges: Float[np.ndarray, "n T tags anchors"]
+    seen: Bool[np.ndarray, "n T tags anchors"]
+    odometry: Float[np.ndarray, "n intervals 2"] | None
+    rig: Rig
+    ids: Int[np.ndarray, " n"]
+
+    def folder(self, name: str) -> RecordingFolder:
+        """The recording folder. Each trolley's first tag has its id as name; the others are `ID-2`, `ID-3`."""
+        count = self.positions.shape[2]
+        bodies = {str(i): (str(i), *(f"{i}-{k}" for k in range(2, count + 1))) for i in self.ids}
+        names = np.array([tag for tags in bodies.values() for tag in tags])
+        height, offsets = float(self.positions[0, 0, 0, 2]), [*OFFSETS[:count]] if count > 1 else [None]
+        tags = {tag: Tag(height, at) for body in bodies.values() for tag, at in zip(body, offsets, strict=True)}
+        half, zero = np.repeat(self.headings / 2, count, axis=0), np.zeros((len(names), len(self.times)))
+        attitudes = np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
+        positions, ranges, seen = (_by_tag(x) for x in (self.positions, self.ranges, self.seen))
+        tag, row, anchor = np.nonzero(seen)
+        anchors = {"anchor": (anchor, list(self.rig.anchors))}
+        tables = {
+            "ranges": ArrayRows.of_entries(tag, names, self.times[row], {("range_m",): ranges[seen][:, None]}, anchors),
+            "truth": ArrayRows.regular(self.times, names, {AXES: positions, QUATERNION: attitudes}),
+        }
+        if self.odometry is not None:
+            tables["odometry"] = ArrayRows.regular(
+                self.times[:-1], self.ids, {("speed_mps", "yaw_rate_radps"): self.odometry}
+            )
+        return folder_of(name, tables, tags, anchors=self.rig.anchors, bodies=bodies if count > 1 else {})
+
+
+def _by_tag(values: Shaped[np.ndarray, "n T tags m"]) -> Shaped[np.ndarray, "n_tags T m"]:
+    """The values of each tag, of one trolley after another."""
+    return np.moveaxis(values, 2, 1).reshape(-1, values.shape[1], values.shape[3])
+
+
+def simulate_bodies(
+    rig: Rig,
+    n: int | Sequence[int] | np.ndarray = 1,
+    seed: int = 0,
+    *,
+    tags: int = 3,
+    rate_hz: float = 10.0,
+    n_points: int = 200,
+    of_anchors: Mapping[str, Corruption] = MappingProxyType({}),
+    of_ranges: Mapping[str, Corruption] = MappingProxyType({}),
+    wheels: tuple[float, float] | None = (0.01, 0.04),
+) -> SimulatedBodies:
+    """Trolleys, `n` or with the ids `n`, whose `tags` range to all anchors at `n_points` times.
+
+    The middle of the axle goes its `rounds`; the trolley looks along them. `of_anchors`: corruptions (n, T, A), m, of
+    the ranges of all tags alike; `of_ranges`: of each tag (n, T, tags·A). `wheels`: white errors of the speed, m/s per
+    √Hz, and of the turning rate, rad/s per √Hz; None: no odometry.
+    """
+    ids = trajectory_ids(n)
+    times, anchors = np.arange(n_points) / rate_hz, np.stack(list(rig.anchors.values()))
+
+    def ranged(keys: Keys) -> tuple[np.ndarray, ...]:
+        axle = rounds(stream(keys, "path"), times)
+        along = np.gradient(axle, times, axis=1)
+        headings = np.unwrap(np.arctan2(along[..., 1], along[..., 0]), axis=1)
+        cosine, sine = np.cos(headings)[..., None], np.sin(headings)[..., None]
+        x, y, z = OFFSETS[:tags].T
+        arms = np.stack([cosine * x - sine * y, sine * x + cosine * y, z + 0.0 * sine], axis=-1)
+        positions = axle[:, :, None] + arms
+        nothing = np.zeros((len(axle), len(times), len(anchors)))
+        shared, heard = corrupted(of_anchors, stream(keys, "anchors"), times, nothing, nothing == 0.0)
+        distances = distances_to(anchors, positions.reshape(len(axle), -1, 3)).reshape(len(axle), len(times), -1)
+        errors = stream(keys, "ranges")
+        ranges, seen = corrupted(of_ranges, errors, times, distances + np.tile(shared, tags), np.tile(heard, tags))
+        ranges, seen = (a.reshape(*positions.shape[:3], -1) for a in (np.where(seen, ranges, 0.0), seen))
+        return positions, headings, ranges, seen, _driven(keys, times, axle, headings, wheels)
+
+    positions, headings, ranges, seen, odometry = in_blocks(ranged, trajectory_keys(seed, ids), size=32)
+    measured = None if wheels is None else odometry
+    return SimulatedBodies(times, positions, headings, ranges, seen, measured, rig, ids)
+
+
+def _driven(
+    keys: Keys, times: Times, axle: np.ndarray, headings: np.ndarray, wheels: tuple[float, float] | None
+) -> Float[np.ndarray, "n intervals 2"]:
+    """The odometry between the times: arcs of the true turns and distances, with white errors."""
+    dt, turn = np.diff(times), np.diff(headings, axis=1)
+    speed = np.sqrt((np.diff(axle, axis=1) ** 2).sum(axis=-1)) / dt / np.sinc(turn / (2 * np.pi))
+    readings = np.stack([speed, turn / dt], axis=-1)
+    for k, sigma in enumerate(wheels or ()):
+        errors, part = {"noise": white_density(sigma)}, readings[..., k : k + 1]
+        readings[..., k : k + 1], _ = corrupted(errors, stream(keys, f"wheels {k}"), times[:-1], part, part == part)
+    return readings

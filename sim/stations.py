@@ -1,4 +1,9 @@
-"""Phases at the stations of a rig, as the paper's work station, and angles at stations beside ranges, with truth."""
+"""Phases at the stations of a rig, as the paper's work station, and angles at stations beside ranges, with truth.
+
+The sign is as in equation (9) of paper A and of the recordings: phase of antenna i = +2 pi / lambda * p_i . u +
+common, u the unit vector to the beacon. The common offset of a station's row holds no information and is omitted from
+ideal phases.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +18,6 @@ from jaxtyping import Bool, Float, Float32, Float64, Int
 from trackwright.sim.corruptions import Corruption, corrupted, white_noise
 from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
 from trackwright.sim.paths import PATHS, WORK_VOLUME, PathFunction
-from trackwright.sim.phases import (
-    Radar,
-    Reflector,
-    antenna_arrays,
-    plane_phases,
-    signal_phases,
-    spherical_phases,
-    wrapped,
-)
 from trackwright.sim.ranging import SimulatedRanges
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.aoa.phases import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
@@ -29,8 +25,61 @@ from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 # All chunks have one shape, the last one padded: nothing is compiled twice, and a chunk fits the processor's cache.
-_CHUNK, _SIGNAL_CHUNK = 64, 2
+_CHUNK = 64
 _BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
+
+
+def wrapped(angle: Float[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
+    """The angles wrapped into (-pi, pi], rad, float64."""
+    turn = 2 * np.pi
+    angle = np.asarray(angle, float)
+    return angle - turn * np.ceil(angle / turn - 0.5)
+
+
+def spherical_phases(
+    stations: Sequence[Station], positions: Float[np.ndarray, "*rows 3"]
+) -> Float[np.ndarray, "*rows stations antennas"]:
+    """Phases (..., stations, antennas), rad in (-pi, pi], of spherical waves from beacons at positions (..., 3), m.
+
+    The phase of antenna i is -2 pi / lambda times its distance from the beacon. Raises ValueError for stations without
+    an array or with arrays of unequal size.
+    """
+    antennas, wavelengths = antenna_arrays(stations)
+    x, y, z = np.moveaxis(np.asarray(positions, float)[..., None, None, :], -1, 0)
+    distances = np.sqrt((x - antennas[..., 0]) ** 2 + (y - antennas[..., 1]) ** 2 + (z - antennas[..., 2]) ** 2)
+    return wrapped(distances * (-2 * np.pi / wavelengths[:, None]))
+
+
+def plane_phases(
+    stations: Sequence[Station], positions: Float[np.ndarray, "*rows 3"]
+) -> Float[np.ndarray, "*rows stations antennas"]:
+    """Phases (..., stations, antennas) of plane waves, equation (9): 2 pi / lambda * p_i . u.
+
+    An approximation for distant beacons; for worlds in which a tracker's model is exact. Shapes, units and errors as in
+    `spherical_phases`.
+    """
+    antenna_arrays(stations)
+    columns = []
+    for station in stations:
+        x, y, z = np.moveaxis(station.position_in_array(positions), -1, 0)
+        wave_number = 2 * np.pi / (station.wavelength * np.sqrt(x**2 + y**2 + z**2))
+        flat = np.asarray(station.antennas)
+        columns.append((wave_number * x)[..., None] * flat[:, 0] + (wave_number * y)[..., None] * flat[:, 1])
+    return wrapped(np.stack(columns, axis=-2))
+
+
+def antenna_arrays(
+    stations: Sequence[Station],
+) -> tuple[Float[np.ndarray, "stations antennas 3"], Float[np.ndarray, " stations"]]:
+    """Antenna positions (stations, antennas, 3), m, world frame, and wavelengths (stations,), m.
+
+    Raises ValueError for no station, for stations without an array or wavelength, and for arrays of unequal size.
+    """
+    arrays = [station.antennas is not None and station.wavelength is not None for station in stations]
+    if not all(arrays) or len({len(station.antenna_positions()) for station in stations}) != 1:
+        raise ValueError("phases need one or more stations with a wavelength and equal numbers of antennas")
+    antennas = np.stack([station.antenna_positions() for station in stations])
+    return antennas, np.array([station.wavelength for station in stations], float)
 
 
 @dataclass(frozen=True)
@@ -122,47 +171,32 @@ def simulate_phases(
     n_points: int = 200,
     sigma_p: float = 0.1,
     wave: Literal["spherical", "plane"] = "spherical",
-    radar: Radar | None = None,
-    reflectors: Sequence[Reflector] = (),
     corruptions: Mapping[str, Corruption] = MappingProxyType({}),
 ) -> SimulatedPhases:
     """Trajectories, `n` or with the ids `n`, of `n_points` rows of phases at all stations of the rig, with truth.
 
-    Phase level: phases of a spherical (or plane) wave, a random common offset per row and station, white noise of
-    `sigma_p` rad. With a `radar`, signal level: phases estimated from sampled signals with the radar's noise and with
-    `reflectors`; `sigma_p` and `wave` are unused; about a hundred times slower. `corruptions`: by name, which is the
-    random stream, in order. A trajectory depends on the seed and its id alone. Raises ValueError for an unknown path or
-    wave, for reflectors without a radar, for a rate or number of points that isn't positive and for stations without
-    arrays.
+    Phases of a spherical (or plane) wave, a random common offset per row and station, white noise of `sigma_p` rad.
+    `corruptions`: by name, which is the random stream, in order. A trajectory depends on the seed and its id alone.
+    Raises ValueError for stations without arrays.
     """
     stations = list(rig.stations.values())
     shape = antenna_arrays(stations)[0].shape[:2]
-    if wave not in ("spherical", "plane"):
-        raise ValueError(f"wave = {wave!r}: expected 'spherical' or 'plane'")
-    if radar is None and reflectors:
-        raise ValueError("reflectors act on sampled signals: give a radar, too")
-    if not (rate_hz > 0 and n_points >= 1):
-        raise ValueError(f"rate {rate_hz} Hz, {n_points} points: expected positive numbers")
-    move = _path_of(path)
-    noise = {"phase noise": white_noise(sigma_p)} if sigma_p > 0 and radar is None else {}
+    move = PATHS[path] if isinstance(path, str) else path
+    waves = {"spherical": spherical_phases, "plane": plane_phases}[wave]
+    noise = {"phase noise": white_noise(sigma_p)} if sigma_p > 0 else {}
     times = np.arange(n_points) / rate_hz
 
     ids = trajectory_ids(n)
     positions = np.empty((len(ids), n_points, 3))
     phases = np.empty((len(ids), n_points, *shape), np.float32)
     seen = np.empty(phases.shape, bool)
-    size = _CHUNK if radar is None else _SIGNAL_CHUNK
-    for start in range(0, len(ids), size):
-        chunk = ids[start : start + size]
+    for start in range(0, len(ids), _CHUNK):
+        chunk = ids[start : start + _CHUNK]
         here = slice(start, start + len(chunk))
-        keys = trajectory_keys(seed, np.pad(chunk, (0, size - len(chunk)), mode="edge"))
+        keys = trajectory_keys(seed, np.pad(chunk, (0, _CHUNK - len(chunk)), mode="edge"))
         where = move(stream(keys, "path"), times)
-        if radar is None:
-            ideal = spherical_phases(stations, where) if wave == "spherical" else plane_phases(stations, where)
-            common = 2 * np.pi * uniforms(stream(keys, "common phase"), (n_points, shape[0])).astype(float)
-            values = ideal + common[..., None]
-        else:
-            values = signal_phases(stream(keys, "radar"), stations, where, radar, reflectors=reflectors)
+        common = 2 * np.pi * uniforms(stream(keys, "common phase"), (n_points, shape[0])).astype(float)
+        values = waves(stations, where) + common[..., None]
         values, visible = corrupted(noise, keys, times, values.astype(np.float32), np.ones(values.shape, bool))
         values, visible = corrupted(corruptions, stream(keys, "corruptions"), times, values, visible)
         # In float32, pi is rounded up: the clip keeps the values in (-pi, pi].
@@ -171,14 +205,6 @@ def simulate_phases(
         phases[here] = np.where(visible, values, np.float32(0))[: len(chunk)]
         seen[here] = visible[: len(chunk)]
     return SimulatedPhases(times, positions, phases, seen, rig, ids)
-
-
-def _path_of(path: str | PathFunction) -> PathFunction:
-    if not isinstance(path, str):
-        return path
-    if path not in PATHS:
-        raise ValueError(f"path '{path}' is unknown; known: {', '.join(PATHS)}; or give a function (keys, times)")
-    return PATHS[path]
 
 
 def with_stations(rig: Rig, centre: Float[np.ndarray, " 3"], count: int) -> Rig:

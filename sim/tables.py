@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -15,40 +14,6 @@ from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.columns import TagRows, TruePaths
 from trackwright.trackers.recordings.folder import RecordingFolder, Tables
 from trackwright.trackers.recordings.kinds import table_kinds
-
-
-@runtime_checkable
-class Simulated(Protocol):
-    """Trajectories simulated as arrays, with truth; `ids` (n,): the trajectory ids, which name the tags."""
-
-    @property
-    def ids(self) -> Int[np.ndarray, " n"]: ...
-
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder `name` with these measurements, their truth and their rig."""
-        ...
-
-
-K = TypeVar("K")
-V = TypeVar("V")
-
-
-class OnDemand(Mapping[K, V]):
-    """Values by key, each made by its function when it is first read."""
-
-    def __init__(self, makers: Mapping[K, Callable[[], V]]) -> None:
-        self._makers, self._made = makers, dict[K, V]()
-
-    def __getitem__(self, key: K) -> V:
-        if key not in self._made:
-            self._made[key] = self._makers[key]()
-        return self._made[key]
-
-    def __iter__(self) -> Iterator[K]:
-        return iter(self._makers)
-
-    def __len__(self) -> int:
-        return len(self._makers)
 
 
 class ArrayRows(TagRows):
@@ -77,7 +42,7 @@ class ArrayRows(TagRows):
     ) -> ArrayRows:
         """A row per tag and time: `times` (T,) s, and columns (n, T, m)."""
         starts = len(times) * np.arange(len(ids) + 1)
-        flat = OnDemand({names: partial(_rows_of, columns, names) for names in columns})
+        flat = {names: values.reshape(-1, values.shape[-1]) for names, values in columns.items()}
         return cls([str(i) for i in ids], starts, np.tile(times, len(ids)), flat)
 
     @classmethod
@@ -100,12 +65,9 @@ class ArrayRows(TagRows):
     def floats(self, names: Sequence[str]) -> Float[np.ndarray, "N m"]:
         if tuple(names) in self._columns:
             return self._columns[tuple(names)]
-        places = {name: (columns, k) for columns in self._columns for k, name in enumerate(columns) if name in names}
-        values = {name: self._columns[columns][:, k] for name, (columns, k) in places.items()}
-        result = np.full((len(self.times), len(names)), np.nan)
-        for column, name in zip(result.T, names, strict=True):
-            column[:] = values.get(name, np.nan)
-        return result
+        places = {name: values[:, k] for of, values in self._columns.items() for k, name in enumerate(of)}
+        missing = np.full(len(self.times), np.nan)
+        return np.stack([places.get(name, missing) for name in names], axis=1)
 
     def codes(self, name: str, ids: Sequence[str]) -> Int[np.ndarray, " N"]:
         numbers, stored_ids = self._ids[name]
@@ -113,20 +75,12 @@ class ArrayRows(TagRows):
 
     def frame(self) -> pl.DataFrame:
         """The table, sorted by time."""
-        columns: dict[str, Any] = {
-            "t_s": self.times,
-            "tag": pl.Series(self.tags).gather(self.of_each(np.arange(len(self.tags)))),
-        }
+        tags = pl.Series(self.tags).gather(self.of_each(np.arange(len(self.tags))))
+        columns: dict[str, Any] = {"t_s": self.times, "tag": tags}
         columns |= {name: pl.Series(list(ids)).gather(numbers) for name, (numbers, ids) in self._ids.items()}
         for names, values in self._columns.items():
             columns |= {name: pl.Series(values[:, k], nan_to_null=True) for k, name in enumerate(names)}
         return pl.DataFrame(columns).sort("t_s", maintain_order=True)
-
-
-def _rows_of(columns: Mapping[tuple[str, ...], np.ndarray], names: tuple[str, ...]) -> np.ndarray:
-    """The columns (N, m) of all trajectories, one after another."""
-    values = columns[names]
-    return values.reshape(-1, values.shape[-1])
 
 
 class SimulatedTables(Tables):
@@ -156,8 +110,7 @@ class SimulatedTables(Tables):
         return self._paths
 
 
-AXES = ("x_m", "y_m", "z_m")
-"""Columns of a position."""
+AXES = ("x_m", "y_m", "z_m")  # the columns of a position
 
 
 def folder_of(

@@ -5,34 +5,82 @@ the ids 0 … n − 1, or `ids`, which replaces `n`. A trajectory depends on the
 seed gives the same numbers whatever other trajectories are simulated.
 
 The signatures here are the only declaration of the worlds' parameters: the options of `trackwright simulate…` and the
-keys of `[worlds.NAME]` in a study are made of them. A parameter is annotated `Annotated[float, Range(0.0, 10.0)]`, or
-`Literal[...]` for a choice, and `checked` holds the arguments to that. What simulates is imported when a world is
-called, so that they can be listed at once.
+keys of `[worlds.NAME]` in a study are made of them, and `checked` holds arguments to their annotations. What simulates
+is imported when a world is called, so that they can be listed at once.
 """
 
 from __future__ import annotations
 
-import difflib
 import inspect
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, wraps
+from numbers import Integral, Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from trackwright.sim.parameters import ParameterError, Range, checked, refuse_unknown
+from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
 if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Int
 
     from trackwright.sim.corruptions import Corruption
-    from trackwright.sim.tables import Simulated
     from trackwright.trackers.core.data.recording import Recording
     from trackwright.trackers.recordings.folder import RecordingFolder
-    from trackwright.trackers.recordings.trajectories import Trajectory
 
 __all__ = ["WORLDS", "SimulatedWorld", "agv", "body", "fusion", "line", "ranges", "station", "tdoa", "tool"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers from `low` to `high`, without `high` itself where `open`."""
+
+    low: float
+    high: float
+    open: bool = False
+
+    def __str__(self) -> str:
+        return f"from {self.low:g} to {'below ' if self.open else ''}{self.high:g}"
+
+
+class ParameterError(ValueError):
+    """An argument of a world outside its range or choices: the parameter's `name`, the `value`, what was `expected`."""
+
+    def __init__(self, name: str, value: Any, expected: str) -> None:
+        super().__init__(f"{name} = {value!r}: expected {expected}")
+        self.name, self.value, self.expected = name, value, expected
+
+
+def checked(world: Callable[P, R]) -> Callable[P, R]:
+    """The function with its arguments checked against their annotations before the call.
+
+    It raises TypeError for an unknown parameter, ParameterError for a value outside its range or choices.
+    """
+    signature, hints = inspect.signature(world), get_type_hints(world, include_extras=True)
+
+    @wraps(world)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        refuse_unknown(kwargs, signature.parameters)
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            kind, *allowed = get_args(hints[name]) or (hints[name],)
+            if get_origin(hints[name]) is Literal and value not in get_args(hints[name]):
+                raise ParameterError(name, value, f"one of {', '.join(get_args(hints[name]))}")
+            for of in (x for x in allowed if isinstance(x, Range)):
+                number = isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
+                if not (number and of.low <= value <= of.high) or (of.open and value == of.high):
+                    raise ParameterError(name, value, f"a {'whole ' if kind is int else ''}number {of}")
+        return world(*args, **kwargs)
+
+    return call
+
+
+def refuse_unknown(names: Iterable[str], parameters: Iterable[str]) -> None:
+    """Raises TypeError for the first of the names that is no parameter."""
+    if unknown := [name for name in names if name not in parameters]:
+        raise TypeError(f"parameter '{unknown[0]}' is unknown; expected one of {', '.join(parameters)}")
+
 
 Trajectories = Annotated[int, Range(1, 10**7)]
 Seed = Annotated[int, Range(0, 2**63 - 1)]
@@ -46,10 +94,10 @@ Ids = Collection[int] | None
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulatedWorld:
-    """Simulated trajectories with truth: `arrays`, such as a `SimulatedLine`; `name` of their recording folder."""
+    """Simulated trajectories with truth: `arrays`, e.g. a `SimulatedLine`; `name` of their recording folder."""
 
     name: str
-    arrays: Simulated
+    arrays: Any
 
     def folder(self) -> RecordingFolder:
         """The recording folder in memory: tables, rig and truth, one tag per trajectory."""
@@ -62,11 +110,17 @@ class SimulatedWorld:
         estimated even where they are known. Raises UnusableInput for a tracker that lacks a table here.
         """
         from trackwright.trackers import catalogue
+        from trackwright.trackers.recordings.trajectories import known_height
 
         folder = self.folder()
         name = tracker or catalogue.fitting(folder)
-        batches = catalogue.spec_of(name).batches([folder], name, free_height)
-        return [_in_arrays(trajectory) for batch in batches for trajectory in batch.trajectories]
+        batches, found = catalogue.spec_of(name).batches([folder], name, free_height), []
+        for one in (one for batch in batches for one in batch.trajectories):
+            # The input `height` only where the rig gives the tag one.
+            unknown = {"height"} if known_height(folder, one.tag) is None else set()
+            inputs = {key: x for key, x in one.recording.inputs.items() if key not in unknown}
+            found.append(replace(one.recording, inputs=inputs))
+        return found
 
     def __repr__(self) -> str:
         return f"<SimulatedWorld '{self.name}': {len(self.arrays.ids)} trajectories, {type(self.arrays).__name__}>"
@@ -77,7 +131,7 @@ def station(
     n: Trajectories = 100,
     seed: Seed = 0,
     *,
-    path: Literal["helix", "varied-helix", "hand", "lines"] = "hand",
+    path: Literal["helix", "hand"] = "hand",
     rows: Rows = 200,
     rate_hz: Annotated[float, Range(1e-3, 1e6)] = 10.0,
     sigma_p: Annotated[float, Range(0.0, 100.0)] = 0.2,
@@ -91,7 +145,7 @@ def station(
     """Simulate beacons at the 24 GHz work station: phases at three stations of eight antennas, with truth.
 
     Args:
-        path: the paper's helix, a helix varied from tag to tag, random hand motion, or straight lines with halts.
+        path: the paper's helix, or random hand motion.
         rows: measurements per trajectory.
         rate_hz: measurements per second.
         sigma_p: white phase noise, rad.
@@ -111,17 +165,15 @@ def station(
         {"gauss-markov": (corruptions.gauss_markov, gauss_markov, 1.0),
          "outliers": (corruptions.outliers, outliers, np.pi), "drop-outs": (corruptions.drop_outs, drop_outs)}
     )  # fmt: skip
-    stations = list(rig.stations)
     if lost_station is not None:
-        if lost_station not in stations:
-            raise ParameterError("lost_station", lost_station, f"one of the stations {', '.join(stations)}")
-        errors["lost station"] = corruptions.lose_station(stations.index(lost_station))
+        if lost_station not in rig.stations:
+            raise ParameterError("lost_station", lost_station, "one of the stations 1, 2 and 3")
+        errors["lost station"] = corruptions.lose_station(int(lost_station) - 1)
     if masked_antenna is not None:
         name, antenna = masked_antenna
-        if name not in stations or not 1 <= antenna <= 8:
-            expected = f"one of the stations {', '.join(stations)} and an antenna from 1 to 8"
-            raise ParameterError("masked_antenna", masked_antenna, expected)
-        errors["masked antenna"] = corruptions.mask_antenna(stations.index(name), antenna - 1)
+        if name not in rig.stations or not 1 <= antenna <= 8:
+            raise ParameterError("masked_antenna", masked_antenna, "a station, 1 to 3, and an antenna, 1 to 8")
+        errors["masked antenna"] = corruptions.mask_antenna(int(name) - 1, antenna - 1)
     world = simulate_phases(
         rig, path, _ids(n, ids), seed, rate_hz=rate_hz, n_points=rows, sigma_p=sigma_p, corruptions=errors
     )
@@ -214,22 +266,13 @@ def tdoa(
 
     import numpy as np
 
-    from trackwright.sim.differences import CORNERS, simulate_differences
     from trackwright.sim.imu import with_imu
-    from trackwright.sim.ranging import WALK, chamber
+    from trackwright.sim.ranging import CORNERS, WALK, chamber, simulate_differences
 
     # A difference has the noise of two arrivals.
     errors = _errors_of_anchors(bias, drift, hidden, sigma_d / 2**0.5, lost)
-    world = simulate_differences(
-        chamber(CORNERS),
-        WALK,
-        _ids(n, ids),
-        seed,
-        rate_hz=rate_hz,
-        n_points=rows,
-        schedule=schedule,
-        corruptions=errors,
-    )
+    how: dict[str, Any] = {"rate_hz": rate_hz, "n_points": rows, "schedule": schedule, "corruptions": errors}
+    world = simulate_differences(chamber(CORNERS), WALK, _ids(n, ids), seed, **how)
     sampled = np.arange(max(3, math.ceil(world.times[-1] * 100.0) + 1)) / 100.0
     measured = with_imu(world, WALK, seed, sampled) if imu else world
     return SimulatedWorld(f"simulated-tdoa-{seed}", measured)
@@ -326,20 +369,13 @@ def body(
         sigma_yaw_rate: white noise of the measured turning rate, rad/s per √Hz.
         lost: share of the ranges that are missing.
     """
-    from trackwright.sim.bodies import simulate_bodies
-    from trackwright.sim.ranging import chamber
+    from trackwright.sim.ranging import chamber, simulate_bodies
 
-    world = simulate_bodies(
-        chamber(),
-        n=_ids(n, ids),
-        seed=seed,
-        tags=tags,
-        rate_hz=rate_hz,
-        n_points=rows,
-        of_anchors=_errors_of_anchors(bias, 0.0, hidden, 0.0, 0.0),
-        of_ranges=_errors_of_anchors(0.0, 0.0, 0.0, sigma_r, lost),
-        wheels=(sigma_slip, sigma_yaw_rate) if odometry else None,
-    )
+    of_anchors = _errors_of_anchors(bias, 0.0, hidden, 0.0, 0.0)
+    of_ranges = _errors_of_anchors(0.0, 0.0, 0.0, sigma_r, lost)
+    wheels = (sigma_slip, sigma_yaw_rate) if odometry else None
+    how: dict[str, Any] = {"tags": tags, "rate_hz": rate_hz, "n_points": rows, "wheels": wheels}
+    world = simulate_bodies(chamber(), _ids(n, ids), seed, of_anchors=of_anchors, of_ranges=of_ranges, **how)
     return SimulatedWorld(f"simulated-body-{seed}", world)
 
 
@@ -394,27 +430,14 @@ def agv(
     from trackwright.sim import corruptions
     from trackwright.sim.agv import ANCHOR_HEIGHT, FIX_ERRORS, simulate_agv
 
+    def mirrored(share: float) -> Corruption:
+        return corruptions.mirrored_heights(ANCHOR_HEIGHT, share, 3.0)
+
     # Corruptions that depend on the true path come before those that add noise.
-    errors: dict[str, Corruption] = {}
-    if latency > 0:
-        errors["late"] = corruptions.delayed(latency)
-    if mirror > 0:
-        errors["mirrored"] = corruptions.mirrored_heights(ANCHOR_HEIGHT, mirror, 3.0)
-    errors |= FIX_ERRORS
-    if wild > 0:
-        errors["wild"] = corruptions.outliers(wild, 2.0)
+    errors = _present({"late": (corruptions.delayed, latency), "mirrored": (mirrored, mirror)})
+    errors |= {**FIX_ERRORS, **_present({"wild": (corruptions.outliers, wild, 2.0)})}
     world = simulate_agv(_ids(n, ids), seed, speed=speed, rows=rows, errors=errors)
     return SimulatedWorld(f"simulated-agv-{seed}", world)
-
-
-def _in_arrays(trajectory: Trajectory) -> Recording:
-    """The rows of a trajectory, with the input `height` only where the rig gives the tag one."""
-    from trackwright.trackers.recordings.trajectories import known_height
-
-    recording = trajectory.recording
-    if known_height(trajectory.folder, trajectory.tag) is not None:
-        return recording
-    return replace(recording, inputs={name: x for name, x in recording.inputs.items() if name != "height"})
 
 
 def _ids(n: int, ids: Ids) -> int | list[int]:
@@ -426,7 +449,7 @@ def _folder(
     world: Callable[..., SimulatedWorld], ids: Int[np.ndarray, " n"], seed: int, /, **numbers: Any
 ) -> RecordingFolder:
     """A world as studies call it; raises TypeError for an unknown parameter, ParameterError for an invalid value."""
-    refuse_unknown(numbers, (name for name in inspect.signature(world).parameters if name not in ("n", "seed", "ids")))
+    refuse_unknown(numbers, [name for name in inspect.signature(world).parameters if name not in ("n", "seed", "ids")])
     return world(seed=seed, ids=ids, **numbers).folder()
 
 
@@ -434,13 +457,3 @@ WORLDS: Mapping[str, Callable[..., RecordingFolder]] = MappingProxyType(
     {world.__name__: partial(_folder, world) for world in (station, line, ranges, tdoa, fusion, body, tool, agv)}
 )
 """`make(ids, seed, **numbers)`, a recording folder, by the name of the world in a study."""
-
-
-def __dir__() -> list[str]:
-    return __all__
-
-
-def __getattr__(name: str) -> Any:
-    near = difflib.get_close_matches(name, WORLDS, 1)
-    meant = f"; did you mean simulate.{near[0]}?" if near and not name.startswith("_") else ""
-    raise AttributeError(f"no world '{name}'; there are {', '.join(WORLDS)}{meant}")

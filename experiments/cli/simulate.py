@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from trackwright.experiments.cli.commands import new_app
 from trackwright.experiments.cli.options import Folder
 from trackwright.sim import worlds
-from trackwright.sim.parameters import ParameterError
+from trackwright.sim.worlds import ParameterError
 from trackwright.trackers.core.errors import UnusableInput
 
 if TYPE_CHECKING:

@@ -37,7 +37,6 @@ def test_the_array_fills_its_box_with_antennas_half_a_wavelength_apart():
     assert np.all(np.abs(DEFAULT_ANTENNAS) <= [0.04, 0.02])
     assert np.abs(DEFAULT_ANTENNAS[:, 1]).max() == 0.02
     gaps = [np.linalg.norm(a - b) for a, b in itertools.combinations(DEFAULT_ANTENNAS, 2)]
-    # Rounded to 0.01 mm.
     assert min(gaps) > SMALLEST_SPACING - 2e-5
 
 
@@ -45,7 +44,6 @@ def test_the_antenna_sets_are_small_and_large_where_the_paper_says():
     extent = {chosen: np.ptp(DEFAULT_ANTENNAS[np.array(chosen) - 1], axis=0) for chosen in TABLE_1_DEG}
     whole = extent[1, 2, 3, 4, 5, 6, 7, 8]
     assert extent[3, 7, 8][1] < whole[1] / 4
-    assert extent[2, 7, 8][1] < whole[1] / 4
     assert extent[1, 2, 5][0] < whole[0] / 4
     assert np.all(extent[2, 3, 6] > 0.9 * whole)
 

@@ -5,8 +5,7 @@ import pytest
 
 from trackwright.sim import worlds
 from trackwright.sim.corruptions import drop_outs, white_noise
-from trackwright.sim.differences import CORNERS, simulate_differences
-from trackwright.sim.ranging import antenna_biases, chamber
+from trackwright.sim.ranging import CORNERS, antenna_biases, chamber, simulate_differences
 from trackwright.trackers.recordings.kinds import KINDS
 
 RIG = chamber(CORNERS)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trackwright.sim.imu import constant_bias, random_walk, white_density
+from trackwright.sim.corruptions import constant_bias, random_walk, white_density
 from trackwright.sim.keys import trajectory_keys
 
 N = 4000

@@ -8,16 +8,9 @@ from trackwright.sim.keys import in_blocks, normals, stream, trajectory_keys, un
 
 
 def test_seed_id_and_stream_each_give_other_numbers():
-    draws = [
-        normals(keys, (15,))[0]
-        for keys in (
-            trajectory_keys(0, [0]),
-            trajectory_keys(1, [0]),
-            trajectory_keys(0, [1]),
-            stream(trajectory_keys(0, [0]), "white"),
-            stream(trajectory_keys(0, [0]), "drift"),
-        )
-    ]
+    zero = trajectory_keys(0, [0])
+    keys = zero, trajectory_keys(1, [0]), trajectory_keys(0, [1]), stream(zero, "white"), stream(zero, "drift")
+    draws = [normals(one, (15,))[0] for one in keys]
     assert len({tuple(draw) for draw in draws}) == 5
 
 

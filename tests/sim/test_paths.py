@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trackwright.sim.keys import trajectory_keys
-from trackwright.sim.paths import WORK_VOLUME, hand_motion, helix, point_to_point, straight_lines_with_halts
+from trackwright.sim.paths import WORK_VOLUME, hand_motion, helix, point_to_point
 
 ELSEWHERE = np.array([[2.0, -1.0, 0.8], [3.5, 0.5, 1.0]])
 KEYS, TIMES = trajectory_keys(0, np.arange(100)), np.arange(200) / 10
@@ -14,11 +14,8 @@ POINTS = np.array([[0.0, 0.0, 0.1], [0.3, 0.0, 0.1], [0.0, 0.3, 0.1], [0.3, 0.3,
 MOMENTS = np.arange(0, 20, 0.05)
 EVERY_PATH = {
     "helix": helix,
-    "varied helix": partial(helix, varied=True),
     "hand": hand_motion,
     "hurried hand": partial(hand_motion, speed=3.0),
-    "lines": straight_lines_with_halts,
-    "fast lines": partial(straight_lines_with_halts, speed=2.0, halt_s=0.1),
     "point to point": lambda keys, times, volume=None: point_to_point(
         keys, times, POINTS if volume is None else volume
     ),
@@ -67,46 +64,17 @@ def test_hand_motion_has_the_stated_speed_and_acceleration(volume):
     assert np.sqrt((acceleration**2).sum(axis=-1).mean()) == pytest.approx(2.9 * speed**2 / reach, rel=0.05)
 
 
-def test_lines_are_either_halted_or_straight_at_the_stated_speed():
-    dt, speed, halt = 0.01, 0.5, 0.6
-    path = straight_lines_with_halts(KEYS, np.arange(0, 10, dt), speed=speed, halt_s=halt)
-    pace = np.linalg.norm(np.diff(path, axis=1), axis=-1) / dt
-    resting, moving = pace < 1e-9, np.abs(pace - speed) < 1e-9
-    # A step in which a line begins or ends, and so is neither, can only stand beside a halt.
-    beside = np.zeros_like(resting)
-    beside[:, 1:] |= resting[:, :-1]
-    beside[:, :-1] |= resting[:, 1:]
-    assert np.all(resting | moving | beside)
-    assert np.all(resting[:, : int(halt / dt) - 1])
-    assert not np.any(resting[:, int(halt / dt) + 1])
-    for row in resting:
-        edges = np.flatnonzero(np.diff(row.astype(int)))
-        starts, ends = edges[row[edges + 1]], edges[~row[edges + 1]]
-        lengths = [(ends[ends > s][0] - s) * dt for s in starts if np.any(ends > s)]
-        # A halt seen through a grid of times: up to two steps short.
-        assert all(halt - 2.5 * dt <= length <= halt + 1e-9 for length in lengths)
-
-
 @pytest.fixture(scope="module")
 def paths():
     """Twenty paths over four points, one second at rest on each."""
     return point_to_point(trajectory_keys(3, np.arange(20)), MOMENTS, POINTS, speed=0.3, rest_s=1.0)
 
 
-def _nearest(paths):
-    apart = np.linalg.norm(paths[:, :, None] - POINTS, axis=-1)
-    return apart.argmin(axis=-1), apart.min(axis=-1)
-
-
-def test_a_path_rests_at_the_points_and_reaches_all_of_them(paths):
-    at, off = _nearest(paths)
+def test_every_other_point_follows_a_point_and_none_itself(paths):
+    apart, pairs = np.linalg.norm(paths[:, :, None] - POINTS, axis=-1), set()
+    at, off = apart.argmin(axis=-1), apart.min(axis=-1)
     # A second at rest, then 1 s for the sides and 1.4 s for the diagonals.
     assert 0.4 < np.mean(off < 1e-9) < 0.65
-    assert set(at[off < 1e-9]) == {0, 1, 2, 3}
-
-
-def test_every_other_point_follows_a_point_and_none_itself(paths):
-    (at, off), pairs = _nearest(paths), set()
     for row, still in zip(at, off < 1e-9, strict=True):
         begun = np.flatnonzero(still & ~np.append(False, still[:-1]))
         assert np.all(np.diff(row[begun]) != 0)

@@ -93,10 +93,6 @@ def test_the_recordings_run_in_the_tracker_that_reads_them(name, tracker):
         assert np.median(errors) < 1.0
 
 
-def test_bearings_are_a_recording_per_station():
-    assert len(_short("station", n=2).recordings("beam")) == 2 * 3
-
-
 @pytest.mark.parametrize("antenna", [1, 8])
 def test_a_masked_antenna_is_missing_from_its_station_alone(antenna):
     phases = worlds.station(n=1, rows=3, masked_antenna=("2", antenna)).folder().tables["phases"]

@@ -274,14 +274,14 @@ def refuse_without_overlap(rows: pl.DataFrame, truths: Mapping[str, pl.DataFrame
     """Raises UnusableInput, with a recording, its tags and times of both, where no row is scored against a truth."""
     if truths and not is_scored(rows).any():
         known = rows.filter(pl.col("why") != "no estimate")
-        tracked = (known if len(known) else rows)["recording"][0]
-        name = tracked if tracked in truths else next(iter(truths))
-        raise UnusableInput(
-            f"no estimate lies inside a truth: estimates of {_about(tracked, known.filter(recording=tracked))}, truth "
-            f"of {_about(name, truths[name])}; expected the same recording, tag and time; compare names, ids, clocks"
-        )
+        name = (known if len(known) else rows)["recording"][0]
+        found = f"the tracks are of recording {name}, the truth is of {listed(sorted(truths))}"
+        if name in truths:
+            found = f"no estimate lies inside a truth: estimates {_about(known.filter(recording=name))}, "
+            found += f"truth of '{name}' {_about(truths[name])}"
+        raise UnusableInput(f"{found}; expected the same recording, tag and time; compare names, ids and clocks")
 
 
-def _about(name: str, table: pl.DataFrame) -> str:
+def _about(table: pl.DataFrame) -> str:
     times, tags = float_column(table, "t_s"), listed(sorted(table["tag"].cast(pl.String).unique())) or "none"
-    return f"'{name}', tag {tags}, " + (f"from {span(times.min(), times.max())}" if len(times) else "at no time")
+    return f"of tag {tags}, " + (f"from {span(times.min(), times.max())}" if len(times) else "at no time")

@@ -228,7 +228,7 @@ def test_errors_of_angles_are_wrapped_and_those_between_directions_on_the_great_
         (
             _tracks([9.0], [0.0]),
             _truth([0.0], [0.0]),
-            "'hall', tag 1, from 9 to 9 s, truth of 'hall', tag 1, from 0 to 0",
+            "of tag 1, from 9 to 9 s, truth of 'hall' of tag 1, from 0 to 0",
         ),
     ],
 )

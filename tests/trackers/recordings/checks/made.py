@@ -14,8 +14,7 @@ import polars as pl
 
 from tests.faulty import write_good
 from trackwright.sim.corruptions import white_noise
-from trackwright.sim.differences import CORNERS, simulate_differences
-from trackwright.sim.ranging import chamber
+from trackwright.sim.ranging import CORNERS, chamber, simulate_differences
 from trackwright.trackers.core.model.rig import Rig, Station, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 
