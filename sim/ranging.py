@@ -29,8 +29,8 @@ from trackwright.sim.keys import Keys, in_blocks, normals, stream, trajectory_id
 from trackwright.sim.paths import PathFunction, hand_motion
 from trackwright.sim.tables import AXES, ArrayRows, folder_of
 from trackwright.trackers.core.model.rig import Rig, Tag
-from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.columns import QUATERNION
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT, double_sided
 
 Ranges = Float[np.ndarray, "n T anchors"]

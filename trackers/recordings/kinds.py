@@ -107,12 +107,12 @@ class Kind:
 
     def __post_init__(self) -> None:
         names = [column.name.replace("{n}", "1") for column in self.columns]
-        for wrong in [
-            *[f"name {self.name!r}, expected lower case"] * (not re.fullmatch(r"[a-z][a-z0-9_]*", self.name)),
-            *[f"column {n!r}, expected a unit at its end: {', '.join(UNITS)}" for n in names if not _NAME.fullmatch(n)],
-            *[f"sensor {n!r}, expected anchor … or station" for n in self.sensors if n[:6] not in ("anchor", "statio")],
-        ]:
-            raise UnusableInput(f"kind {self.name}: {wrong}")
+        others = [name for name in self.sensors if not name.startswith(("anchor", "station"))]
+        wrong = [f"name {self.name!r}, expected lower case"] * (not re.fullmatch(r"[a-z][a-z0-9_]*", self.name))
+        wrong += [f"column {name!r}, expected a unit at its end" for name in names if not _NAME.fullmatch(name)]
+        wrong += [f"sensor {name!r}, expected anchor … or station" for name in others]
+        if wrong:
+            raise UnusableInput(f"kind {self.name}: {wrong[0]}")
 
     @cached_property
     def noun(self) -> str:
