@@ -316,9 +316,7 @@ def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "par
             partial.rename(path)
     except (OSError, pl.exceptions.PolarsError) as error:
         reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise UnusableInput(
-            f"{path}: cannot be written ({reason}), nothing was kept; check free space and permissions"
-        ) from error
+        raise UnusableInput(f"{path}: cannot be written ({reason}); check free space and permissions") from error
 
 
 def _contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[str]]:
@@ -336,8 +334,7 @@ def _contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[str]]:
         stem = entry.partition(".")[0]
         if entry != RIG_FILE and is_part(entry):
             if stem in files:
-                both = f"both {files[stem].name} and {entry}"
-                raise UnusableInput(f"{path}: {both}, expected one file for table {stem}; remove one")
+                raise UnusableInput(f"{path}: both {files[stem].name} and {entry}, expected one; remove the other")
             files[stem] = path / entry
         elif entry.lower().endswith((*SUFFIXES, *_OTHER_DATA)):
             others.append(entry)

@@ -139,8 +139,9 @@ def _positions(estimates: Estimates, height: np.ndarray, origins: np.ndarray) ->
         w, x, y, z = (np.asarray(q) for q in (attitude.w, attitude.x, attitude.y, attitude.z))
         angle = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     columns[HEADING] = np.pi - (np.pi - angle) % (2 * np.pi)
-    has_spread = isinstance(attitude, Heading) and "attitude.0" in every_sigma
-    return columns | ({f"std_{HEADING}": every_sigma["attitude.0"]} if has_spread else {})
+    if isinstance(attitude, Heading) and "attitude.0" in every_sigma:
+        columns[f"std_{HEADING}"] = every_sigma["attitude.0"]
+    return columns
 
 
 def angles(estimates: Estimates) -> dict[str, np.ndarray]:

@@ -26,10 +26,12 @@ NO_ESTIMATE = ("waiting", "non-finite")  # values of `status` of rows without an
 def read_tracks(folder: Path | str) -> pl.DataFrame:
     """The table of estimates in the output folder of `trackwright track`; raises UnusableInput if there is none."""
     path = Path(folder) / TRACKS
-    tracks = read_parquet(path)
-    wrong = "no column x_m" if not {"x_m", "azimuth_rad"} & {*tracks.columns} else "no row" * tracks.is_empty()
+    wrong = "" if path.is_file() else "no such file"
+    tracks = pl.DataFrame() if wrong else read_parquet(path)
+    if not wrong:
+        wrong = "no column x_m" if not {"x_m", "azimuth_rad"} & {*tracks.columns} else "no row" * tracks.is_empty()
     if wrong:
-        raise UnusableInput(f"{path}: {wrong}; expected the table of `trackwright track`; run it again")
+        raise UnusableInput(f"{path}: {wrong}; expected the table of `trackwright track`; give the folder it wrote")
     return tracks
 
 

@@ -164,9 +164,9 @@ def _file(name, content):
 
 
 BROKEN_RUNS = [
-    (_file("tracks.parquet", bytes(range(256))), "is not a complete Parquet file"),
-    (_file("tracks.parquet", b""), "tracks.parquet: has 0 bytes; expected the table of `trackwright track`"),
-    (_tracks(lambda table: table.clear()), "the table is empty"),
+    (_file("tracks.parquet", bytes(range(256))), "is a broken Parquet file"),
+    (_file("tracks.parquet", b""), "tracks.parquet: is a broken Parquet file"),
+    (_tracks(lambda table: table.clear()), "no row; expected the table of `trackwright track`"),
     (_tracks(lambda table: table.drop("t_s")), "no column t_s"),
     (_tracks(lambda table: table.drop("x_m")), "no column x_m; expected the table of `trackwright track`"),
     (lambda folder: (folder / "recordings.txt").unlink(), "names no recording"),
