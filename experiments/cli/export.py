@@ -25,8 +25,8 @@ def export(
     Args:
         run: the output folder of `track`; or a recording folder, of which the truth is written.
         format: of the file.
-        out: the file; of several tracks in tum, a folder.
-        tag: this tag alone.
+        out: the file.
+        tag: this tag alone; tum holds one.
         tracker: of c; default: as in `--noise`, else the one that fits the tables.
         noise: of c: a tuned.toml of `trackwright tune`.
         force: replace a file that exists.
@@ -35,8 +35,7 @@ def export(
         return _export_c(run, out, tag, tracker, noise, force)
     from trackwright.trackers.exchange.trajectories import export_tracks
 
-    for line in export_tracks(run, format, out, tag, force):
-        print(line)
+    print(export_tracks(run, format, out, tag, force))
     return 0
 
 

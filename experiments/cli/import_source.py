@@ -48,7 +48,7 @@ def import_source(
             "range_m=distance in mm", "t_s=stamp in iso" or "in mm/dd/yyyy", "t_s=secs+nsecs*1e-9",
             "anchor=header.frame_id", "range_m[A1]=d1" for a column of each anchor.
         mapping: a TOML file with the table, columns, topic, tag and form of several tables, instead of these options
-            (--columns and --tag add to it), or a preset: crazyflie, crazyflie-tdoa, dwm1001, isas-walk.
+            (--columns and --tag add to it), or a preset: dwm1001, isas-walk.
         topic: of a bag.
         tag: the id of the tag, where no column has it.
         rig: a rig.toml with the positions of anchors or stations, or a table of anchors with columns anchor, x, y, z.

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -72,7 +71,7 @@ class Source:
     def read(self, file: TableFile, mapping: TableMapping) -> None:
         """Adds the table that a mapping makes of the columns of a file; raises UnusableInput."""
         name, groups, tables = mapping.table, dict[str | None, dict[str, Expression]](), list[pl.DataFrame]()
-        for target, text in spelled_out(mapping.columns, file.frame.columns).items():
+        for target, text in mapping.columns.items():
             groups.setdefault(sensor_of(target)[1], {})[sensor_of(target)[0]] = parsed(target, text, file)
         asked = pl.repeat(True, len(file.frame), eager=True)
         for column, values in mapping.where.items():
@@ -128,18 +127,6 @@ def without_identities(table: pl.DataFrame) -> tuple[pl.DataFrame, list[str]]:
     if not {*QUATERNION} <= {*table.columns} or not table.select(pl.all_horizontal(one)).item():
         return table, []
     return table.drop(QUATERNION), ["every quaternion is the identity; read as positions without attitude"]
-
-
-def spelled_out(columns: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
-    """The columns, with one for each of the source's `names` that fits an expression with holes, as `d{a}`."""
-    found = dict[str, str]()
-    for target, text in columns.items():
-        hole = re.search(r"[^\s*/+()]*\{\w+\}[^\s*/+()]*", text)
-        pattern = re.sub(r"\\\{(\w+)\\\}", r"(?P<\1>\\w+)", re.escape(hole[0])) if hole else ""
-        matches = [match for name in names if (match := re.fullmatch(pattern, name))] if hole else []
-        found |= {target.format(**m.groupdict()): text.replace(hole[0], f"`{m[0]}`") for m in matches if hole}
-        found |= {} if hole else {target: text}
-    return found
 
 
 def _complete(

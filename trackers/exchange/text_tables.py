@@ -303,15 +303,14 @@ def _of_table(path: Path, text: str, form: Reading) -> Rows:
 def _cells(lines: pl.DataFrame, mark: str) -> pl.DataFrame:
     """The cells of each row, and the line at which it begins; a quoted cell may go over several lines."""
     text = pl.col("text").str.replace_all(r"[ \t]+", " ").str.strip_chars(" ") if mark == " " else pl.col("text")
-    if not lines["text"].str.contains('"', literal=True).any():
-        return lines.select("line", cells=text.str.split(mark))
+    numbers = lines["line"].to_list()
     reader, rows, before = csv.reader((f"{x}\n" for x in lines.select(text)["text"]), delimiter=mark), [], 0
     try:
         for row in reader:
-            rows.append((lines["line"][before], row))
+            rows.append((numbers[before], row))
             before = reader.line_num
     except csv.Error as error:
-        raise UnusableInput(f"line {lines['line'][before]} is not CSV ({error}); check the quotes") from error
+        raise UnusableInput(f"line {numbers[before]} is not CSV ({error}); check the quotes") from error
     return pl.DataFrame(rows, {"line": pl.UInt32, "cells": pl.List(pl.String)}, orient="row")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
@@ -140,8 +140,8 @@ def write_trajectory(table: pl.DataFrame, path: Path | str) -> Path:
 
 def export_tracks(
     run: Path, format: Literal["tum", "csv"], out: Path, tag: str | None = None, force: bool = False
-) -> Iterator[str]:
-    """Exports the tracks in a folder of `track`, or the truth of a recording; a line for each file."""
+) -> str:
+    """Exports the tracks in a folder of `track`, or the truth of a recording, in TUM one alone; what it wrote."""
     recording = read_recording(run) if (run / RIG_FILE).is_file() else None
     table = read_tracks(run) if recording is None else recording.tables.get("truth")
     if table is None:
@@ -149,19 +149,13 @@ def export_tracks(
     table = Selection(() if tag is None else (tag,)).of_estimates(table)
     if recording is not None:
         table = table.with_columns(recording=pl.lit(recording.name))
-    tracks = {out: table}
-    if format == "tum":
-        if is_bearing(table) or (table := usable_rows(table)).is_empty():
-            raise UnusableInput(f"{run}: holds no estimate of a position; --format csv writes what there is")
-        parts = table.partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
-        names = (re.sub(r"[^\w.-]", "_", f"{recording}-{tag}")[:100] for recording, tag in parts)
-        files = [out] if len(parts) == 1 and out.suffix else [out / f"{name}.tum" for name in names]
-        tracks = dict(zip(files, parts.values(), strict=True))
-    if not force and (old := [path for path in tracks if path.exists()]):
-        raise UnusableInput(f"--out {old[0]}: exists; expected a new file; --force replaces it")
-    for path, rows in tracks.items():
-        write_whole(path, rows.write_csv()) if format == "csv" else write_trajectory(rows, path)
-        yield f"wrote {path}: {counted(len(rows), 'pose' if format == 'tum' else 'row')}"
+    if out.exists() and not force:
+        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    if format == "csv":
+        return f"wrote {write_whole(out, table.write_csv())}: {counted(len(table), 'row')}"
+    if is_bearing(table) or (tracks := usable_rows(table)).select("recording", "tag").n_unique() != 1:
+        raise UnusableInput(f"{run}: expected the positions of one track; choose it by --tag, or --format csv")
+    return f"wrote {write_trajectory(tracks, out)}: {counted(len(tracks), 'pose')}"
 
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]

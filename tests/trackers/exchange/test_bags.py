@@ -118,24 +118,6 @@ def test_a_broken_bag_is_refused_wherever_it_is_broken(bags, tmp_path, name):
     assert refused >= 10
 
 
-@pytest.mark.parametrize("preset", ["crazyflie", "crazyflie-tdoa"])
-def test_a_log_of_cfclient_has_a_column_for_each_anchor_or_pair(tmp_path, preset):
-    names = [f"ranging.distance{a}" if preset == "crazyflie" else f"tdoa2.d{a}-{a + 1}" for a in range(3)]
-    rows = "".join(f"{100 * k},{k + 1},{k + 2},{k + 3}\n" for k in range(2))
-    (tmp_path / "lps.csv").write_text(f"Timestamp,{','.join(names)}\n{rows}")
-    (tmp_path / "rig.toml").write_text(
-        "format = 1\n[anchors]\n" + "".join(f"{k} = [{k}.0, {k % 2}.0, 2.0]\n" for k in range(4))
-    )
-    words = "import", tmp_path / "lps.csv", "--rig", tmp_path / "rig.toml", "--mapping"
-    said = trackwright(*words, preset, "--out", tmp_path / "hall")
-    assert said.code == 0, said.err
-    (table,) = read_recording(tmp_path / "hall").tables.values()
-    pairs = [("cf", str(a)) if preset == "crazyflie" else ("cf", str(a + 1), str(a)) for a in range(3)]
-    assert table.rows() == [(0.1 * k, *pairs[a], float(k + a + 1)) for k in range(2) for a in range(3)]
-    other = "crazyflie-tdoa" if preset == "crazyflie" else "crazyflie"
-    assert_refused_last(trackwright(*words, other, "--out", tmp_path / "x"), "which no column gives; found 'Timestamp'")
-
-
 @pytest.fixture
 def bag(recordings):
     """The bag of a real walk, beside the recording that was made of it by hand."""

@@ -77,9 +77,9 @@ def test_a_table_in_text_is_read_as_it_was_written_and_a_line_says_what_was_left
         ('0 {"links": [{"A": "A1", "R": "1.5"}, {"A": "A2", "R": "2.5"}]}\n{"state": "lost"}\n'
          '0.1 -> {"links": [{"A": "A1", "R": 1.6}, {"A": "A2", "R": 1234.5}], "battery": [3, 4, 5]}\n',
          ("t_s=time", "anchor=links[].A", "range_m=links[].R"), ""),
-        ('{"t":0,"UWB":{"A1":1.5,"A2":2.5}}\n{"t":0.1,"UWB":{"A1":1.6,"A2":1234.5}}\n', ("t_s=t", "range_m[{a}]=UWB.{a}"), ""),
-        ('[{"A1":1.5,"A2":2.5},{"A1":1.6,"A2":1234.5}]', ("t_s=line*0.1", "range_m[A{a}]=A{a}"), ""),
-        ('{"A1":1.5,"A2":2.5}\n{"A\nboot 3\n{"A1":1.6,"A2":1234.5}', ("t_s=line*0.1", "range_m[A{a}]=A{a}"),
+        ('{"t":0,"UWB":{"A1":1.5,"A2":2.5}}\n{"t":0.1,"UWB":{"A1":1.6,"A2":1234.5}}\n', ("t_s=t", "range_m[A1]=UWB.A1", "range_m[A2]=UWB.A2"), ""),
+        ('[{"A1":1.5,"A2":2.5},{"A1":1.6,"A2":1234.5}]', ("t_s=line*0.1", "range_m[A1]=A1", "range_m[A2]=A2"), ""),
+        ('{"A1":1.5,"A2":2.5}\n{"A\nboot 3\n{"A1":1.6,"A2":1234.5}', ("t_s=line*0.1", "range_m[A1]=A1", "range_m[A2]=A2"),
          "2 lines without values left out: 2, 3"),
     ],
 )  # fmt: skip

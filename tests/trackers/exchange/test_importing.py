@@ -72,7 +72,6 @@ def test_ranges_to_anchors_without_positions_are_imported_for_a_survey_where_the
             ("--format", "euroc", "--tag", "T"),
             ("--format euroc: expected csv, json, tum, ros or FILE.py:NAME",),
         ),
-        ("log.csv", ("--mapping", "crazyflie"), ("t_s=Timestamp in ms: no column 'Timestamp' (did you mean stamp?)",)),
         ("missing.csv", CSV, ("missing.csv", "cannot be read")),
         ("mocap.tum", ("--table", "truth"), ("truth needs tag", "give --tag ID")),
         ("rig.toml", ("--table", "truth", "--tag", "T"), ("rig.toml: line 3 has 1 cell",)),
