@@ -189,8 +189,6 @@ def import_frames(
     (docs/import.md). `tag`: the id of all rows, where no column has it. Raises UnusableInput.
     """
     require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
-    expected = "expressions by table, as {'ranges': ['range_m=distance in mm']}"
-    require(isinstance(columns, Mapping | None), "import_frames: columns", columns, expected)
     source = _of_frames(frames, {table: columns_of(e) for table, e in (columns or {}).items()}, tag, "frame ")
     rig = read_rig(Path(rig))[0] if isinstance(rig, (str, Path)) else rig
     with tempfile.TemporaryDirectory() as scratch:

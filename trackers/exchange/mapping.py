@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import polars as pl
 
@@ -27,6 +27,7 @@ ORIGIN = "_origin"  # column of a table while it is imported: the number of its 
 class TableMapping(Reading):
     """A table of a source, in the keys of docs/import.md."""
 
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
     table: str
     columns: Mapping[str, str] = field(default_factory=dict)
     topic: str | None = None
@@ -36,26 +37,13 @@ class TableMapping(Reading):
     def __post_init__(self) -> None:
         if self.table not in table_kinds():
             raise UnusableInput(f"table {self.table!r}; expected one of {', '.join(table_kinds())}")
-        self.sources()
-
-    def sources(self) -> set[str]:
-        """The columns, or fields of messages, of the source that are asked for; raises UnusableInput."""
-        return {source for item in self.columns.items() for source in parsed(*item).sources} | {*self.where}
-
-
-@dataclass(frozen=True, kw_only=True)
-class _MappingFile:
-    """A file of mappings."""
-
-    __pydantic_config__: ClassVar = {"extra": "forbid"}
-
-    tables: list[TableMapping] = field(default_factory=list)
 
 
 def read_mapping(path: Path) -> list[TableMapping]:
     """The mappings of a preset, by its name, or of a TOML file with entries [[tables]]; raises UnusableInput."""
     expected = f"entries [[tables]], or a preset by name: {', '.join(sorted(PRESETS))}{near(str(path), PRESETS)}"
-    if tables := read_model(PRESETS.get(str(path), path), _MappingFile, expected).tables:
+    content = read_model(PRESETS.get(str(path), path), dict[Literal["tables"], list[TableMapping]], expected)
+    if tables := content.get("tables"):
         return tables
     raise UnusableInput(f"{path}: no tables; expected {expected}")
 

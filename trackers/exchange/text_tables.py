@@ -164,8 +164,8 @@ def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
         row = first_row(wrong)
         alike = f"as {first!r}, a time zone in all rows or none" if row != first_row(full) else "no order is guessed"
         mark = next((one for one in "/." if one in given[row].split(" ")[0]), "-")
-        named = re.search("-[A-Za-z]{3}-", given[row])
-        orders = ["dd-mmm-yyyy"] if named else [f"mm{mark}dd{mark}yyyy", f"dd{mark}mm{mark}yyyy"]
+        orders = [f"mm{mark}dd{mark}yyyy", f"dd{mark}mm{mark}yyyy"]
+        orders = ["dd-mmm-yyyy"] if re.search("-[A-Za-z]{3}-", given[row]) else orders
         fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
         raise UnusableInput(f"{file.location(row, column)}: {given[row]!r}; expected {order}, {alike}: {fix}")
     return found
@@ -202,10 +202,7 @@ Rows = tuple[pl.DataFrame, Sequence[int] | pl.Series, list[str]]  # columns of t
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """How a text is read; `header` is the line of the names, or none; `missing` are marks.
-
-    `lines`: a pattern whose named groups are the columns, with a row for each place where it fits in a line of a log.
-    """
+    """How a text is read; `lines`: a pattern whose named groups are the columns, a row for each place in a log."""
 
     separator: str | None = None
     decimal: Literal[".", ","] = "."
