@@ -69,16 +69,6 @@ def test_a_broken_motion_is_named_with_what_is_wrong(move, check, message):
     _fails(check_motion, Walk(move), check, message)
 
 
-def test_stages_that_are_not_the_step_are_named():
-    class Staged(Walk):
-        @property
-        def stages(self):
-            return (lambda state, inputs, dt, w: Placed(state.position + w * (2.0 * dt)),)
-
-    walk = Staged(lambda p, dt, w: Placed(p + w * dt))
-    _fails(check_motion, walk, "derivatives", "`stages` that together are `step`")
-
-
 class Ruler(AbstractSensor):
     """Both coordinates with sigmas of 0.1 and 0.3 m, whose residual a test breaks."""
 
@@ -140,36 +130,3 @@ def _root(good, reading, predicted):
 )  # fmt: skip
 def test_a_broken_sensor_is_named_with_what_is_wrong(change, check, message):
     _fails(check_sensor, Ruler(change), check, message)
-
-
-@pytest.mark.parametrize(
-    ("seen", "check", "message"),
-    [
-        (lambda p: [p[0]], "measure", r"Blind\.measure returns shapes \[\(\)\], expected scalars: \['x', 'y'\]"),
-        (lambda p: [p.x, p.y], "measure", "AttributeError: .*has no attribute 'x'"),
-        # A slip of the sensor's own stays what it is.
-        (lambda p: [np.pie, p[1]], "measure", "AttributeError: .*pie"),
-        (lambda p: [0.5, 1.0], "derivatives", "Blind.measure by every component of the view is zero"),
-        (lambda p: [jnp.round(p[0]), jnp.round(p[1])], "derivatives", "Blind.measure by every component of the view is zero"),
-        (lambda p: [p[0] * 0 + jax.lax.stop_gradient(p[0]), p[1]], "derivatives", r"x by position\.0 is -?0, by difference quotients -10"),
-        (lambda p: [(p[0] - 0.4) ** 2, (p[1] - 0.7) ** 2], None, ""),
-    ],
-    ids=["too few", "letters", "slip", "constant", "rounded", "cut", "zero here alone"],
-)  # fmt: skip
-def test_a_sensor_whose_prediction_is_wrong_is_named(seen, check, message):
-    class Blind(Ruler):
-        def measure(self, view, inputs):
-            return [jnp.asarray(z) for z in seen(view.position)]
-
-    blind = Blind(lambda good, reading, predicted: good)
-    if check is None:
-        check_sensor(blind, Placed(Vector(0.4, 0.7)))
-    else:
-        _fails(check_sensor, blind, check, message)
-
-
-@pytest.mark.parametrize("function", ["check_motion", "check_sensor", "check_tracker", "check_kind", "check_importer"])
-def test_a_part_of_another_kind_is_refused(function):
-    for given in (None, "walk"):
-        with pytest.raises(tw.UnusableInput, match=f"{function}: found .*; expected a"):
-            getattr(tw, function)(given, None)
