@@ -84,10 +84,10 @@ sensors = {
     "barometer": Barometer(tw.Scale(0.3, "m", "measurement noise")),
     "beacon": ToBeacon(BEACON, tw.Scale(0.3, "m", "measurement noise")),
 }
-# A report names what is broken, with the usual fix.
-print(tw.check_motion(motion, Lift(3.0, 0.5)))
+# What is broken is named, with the usual fix.
+tw.check_motion(motion, Lift(3.0, 0.5))
 for sensor in sensors.values():
-    print(tw.check_sensor(sensor, Lift(3.0, 0.5)))
+    tw.check_sensor(sensor, Lift(3.0, 0.5))
 tracker = tw.Tracker(motion, sensors, AtTheFirstReading())
 
 rng = np.random.default_rng(2)

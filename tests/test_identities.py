@@ -5,11 +5,8 @@ import pytest
 from tests.catalogue import CASES
 from trackwright.trackers.conformance.trackers import tracker_checks
 
-BITS = (
-    "run", "padding", "later rows", "number and order", "other tags", "hidden values", "cut and resume",
-    "one program",
-)  # fmt: skip
-NUMBERS = ("single and batch", "accumulate", "gradient", "consistency")
+BITS = ("run", "padding", "later rows", "number and order", "hidden values", "cut and resume", "one program")
+NUMBERS = ("single and batch", "accumulate", "gradient")
 """Further programs for each case: in the default suite `tests/trackers/conformance` has them for its own trackers."""
 
 RESUMED = ("fix-kf", "particles", "median", "das")

@@ -23,9 +23,8 @@ from trackwright.trackers.c_source import c_source as c_source
 from trackwright.trackers.catalogue import TRACKERS as TRACKERS
 from trackwright.trackers.catalogue import build as build
 from trackwright.trackers.catalogue import tracker_for as tracker_for
-from trackwright.trackers.conformance.contract import BrokenContract as BrokenContract
-from trackwright.trackers.conformance.contract import Check as Check
-from trackwright.trackers.conformance.contract import Report as Report
+from trackwright.trackers.conformance.parts import BrokenContract as BrokenContract
+from trackwright.trackers.conformance.parts import Check as Check
 from trackwright.trackers.conformance.parts import check_motion as check_motion
 from trackwright.trackers.conformance.parts import check_sensor as check_sensor
 from trackwright.trackers.conformance.parts import motion_checks as motion_checks
@@ -250,7 +249,7 @@ __all__ = [
     "Column",
     "Sensors",
     "add_kind",
-    # whether one's own parts keep their contracts: a report of each, and checks for pytest
+    # whether one's own parts keep their contracts: asserted, and as checks for pytest
     "check_motion",
     "check_sensor",
     "check_tracker",
@@ -262,7 +261,6 @@ __all__ = [
     "kind_checks",
     "importer_checks",
     "Check",
-    "Report",
     "BrokenContract",
     # fits
     "fit",

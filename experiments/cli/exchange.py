@@ -45,7 +45,7 @@ def import_source(
             "range_m=distance in mm", "t_s=stamp in iso" or "in mm/dd/yyyy", "t_s=secs+nsecs*1e-9",
             "anchor=header.frame_id", "range_m[A1]=d1" for a column of each anchor.
         mapping: a TOML file with the table, columns, topic, tag and form of several tables, instead of these options
-            (--columns and --tag add to it), or a preset: crazyflie, crazyflie-tdoa, dwm1001, isas-walk.
+            (--columns and --tag add to it), or a preset: dwm1001, isas-walk.
         topic: of a bag.
         tag: the id of the tag, where no column has it.
         rig: a rig.toml with the positions of anchors or stations, or a table of anchors with columns anchor, x, y, z.
@@ -102,8 +102,8 @@ def export(
     Args:
         run: the output folder of `track`; or a recording folder, of which the truth is written.
         format: of the file.
-        out: the file; of several tracks in tum, a folder.
-        tag: this tag alone.
+        out: the file.
+        tag: this tag alone; tum holds one.
         tracker: of c; default: as in `--noise`, else the one that fits the tables.
         noise: of c: a tuned.toml of `trackwright tune`.
         force: replace a file that exists.
@@ -111,7 +111,7 @@ def export(
     if format != "c":
         from trackwright.trackers.exchange.trajectories import export_tracks
 
-        print("\n".join(export_tracks(run, format, out, tag, force)))
+        print(export_tracks(run, format, out, tag, force))
         return 0
     from trackwright.experiments.cli.console import chosen_tracker
     from trackwright.trackers.c_source import write_c

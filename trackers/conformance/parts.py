@@ -1,20 +1,20 @@
-"""The contracts of a motion and of a sensor, each at one state, as functions that assert."""
+"""Contracts as lists of functions that assert; those of a motion and of a sensor, each at one state."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from functools import cache
-from typing import Any
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache, wraps
+from typing import Any, ParamSpec
+from unittest import SkipTest
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers.conformance import contract
-from trackwright.trackers.conformance.contract import BrokenContract, NotApplicable, check
-from trackwright.trackers.core.errors import require
+from trackwright.trackers.core.errors import one_line, require
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.model.algebra import Scalar, Vector, densify
 from trackwright.trackers.core.model.covariance import Gaussian, matrix
@@ -24,19 +24,63 @@ from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Residual
 from trackwright.trackers.core.model.state import State, component_names, coordinates, local, retract
 from trackwright.trackers.core.model.tunable import freeze
-from trackwright.trackers.core.run.requirements import GivenInputs, MissingInputError
+from trackwright.trackers.core.run.chunks import as_dtype
+from trackwright.trackers.core.run.requirements import GivenInputs
+
+P = ParamSpec("P")
+
+
+class BrokenContract(AssertionError):  # noqa: N818 - public name
+    """A part of a user violates an assumption of the library: found, expected, usual fix in one sentence."""
+
+
+class NotApplicable(SkipTest):
+    """The reason why a check has nothing to say of a part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """A function that asserts; called, it raises BrokenContract, or NotApplicable, which pytest takes for a skip."""
+
+    test: Callable[[], None]
+
+    def __str__(self) -> str:
+        return self.test.__name__.strip("_").replace("_", " ")
+
+    def __call__(self) -> None:
+        if not __debug__:
+            raise NotApplicable("needs python without -O, which leaves asserts out")
+        try:
+            self.test()
+        except NotApplicable:
+            raise
+        except Exception as error:
+            kind = "" if isinstance(error, AssertionError) else f"{type(error).__name__}: "
+            raise BrokenContract(f"{self}: {kind}{one_line(error)}") from error
+
+
+def asserted(checks: Callable[P, list[Check]]) -> Callable[P, None]:
+    """A function of the same arguments that runs all checks that apply, and raises what the first broken one found."""
+
+    @wraps(checks)
+    def run(*given: P.args, **named: P.kwargs) -> None:
+        for check in checks(*given, **named):
+            with suppress(NotApplicable):
+                check()
+
+    return run
+
 
 FAR = 1e6  # an outlier, in units of a channel, the square of whose whitened residual is finite in float32
 
 
 def motion_checks(
     motion: AbstractMotion, state: State, inputs: Inputs | None = None, dt: float = 0.1, seed: int = 0
-) -> list[contract.Check]:
+) -> list[Check]:
     """The checks of a motion at `state`, with the known `inputs` of one row, for steps of 0 s and of `dt` s.
 
     `step` returns a state of the same structure, for dt = 0 the same bits whatever the noise, and has all its
-    randomness in `w`; values and derivatives are finite; a filter predicts the covariance of difference
-    quotients, also where there are `stages`. Raises UnusableInput for an object of another kind.
+    randomness in `w`; values are finite; a filter predicts the covariance of difference quotients, also by `stages`.
     """
     require(isinstance(motion, AbstractMotion), "check_motion", motion, "an object of AbstractMotion")
     what, q, rng = f"{type(motion).__name__}.step", motion.noise_dimension, np.random.default_rng(seed)
@@ -44,55 +88,53 @@ def motion_checks(
     single, here = freeze(_arrays(motion)), _arrays(state)
     point, rebuild = coordinates(here)
     names, n = [*component_names(here), *(f"w.{k}" for k in range(q))], len(point)
-    given = cache(lambda: GivenInputs(_arrays(dict(inputs or {})), what))
+    given = GivenInputs(_arrays(dict(inputs or {})), what)
 
     def step(interval: Any, w: Any) -> State:
-        return single.step(here, given(), interval, Vector.of(w))
+        return single.step(here, given, interval, Vector.of(w))
 
     def slopes(interval: Any, w: Any) -> Any:
         after = step(interval, w)
 
         def moved(*x: Scalar) -> list[Scalar]:
-            return local(after, single.step(rebuild(x[:n]), given(), interval, Vector.of(x[n:])))
+            return local(after, single.step(rebuild(x[:n]), given, interval, Vector.of(x[n:])))
 
         return densify(linearise(moved, [*point, *w])[1], n + q, jnp.zeros(()))
 
     jitted, jitted_slopes = jax.jit(step), jax.jit(slopes)
 
     def stepped(interval: float, w: Any, function: Any = jitted) -> Any:
-        given()  # before anything is traced
-        with _told(what, "state", here):
-            return function(jnp.asarray(interval), list(_arrays(w)))
+        return function(jnp.asarray(interval), list(_arrays(w)))
 
     def same_bits(a: Any, b: Any) -> bool:
         return all(map(np.array_equal, jax.tree_util.tree_leaves(a), jax.tree_util.tree_leaves(b)))
 
-    @check()
+    @Check
     def state_() -> None:
         after = stepped(dt, draws[0])
         found, expected = (repr(jax.tree_util.tree_map(jnp.shape, x)) for x in (after, here))
         assert found == expected, f"{what} returns {found}, expected a state like the given one: {expected}"
 
-    @check(state_)
+    @Check
     def zero_interval() -> None:
         for after in [stepped(0.0, w) for w in draws]:
             assert same_bits(after, here), f"{what} with dt = 0 changes the state; usual fix: a factor dt in each term"
 
-    @check(state_)
+    @Check
     def randomness() -> None:
         same = same_bits(stepped(dt, draws[-1]), stepped(dt, draws[-1], jax.jit(lambda *x: step(*x))))
         assert same, f"{what} gives other numbers when traced again, expected all its randomness in w"
 
-    @check(randomness)
+    @Check
     def finite() -> None:
         for interval, w in itertools.product((0.0, dt), draws):
             place = f"{what} at dt = {interval} s"
             _finite(place, coordinates(stepped(interval, w))[0], names)
             _finite(f"the derivative of {place}", stepped(interval, w, jitted_slopes), names)
 
-    @check(finite)
+    @Check
     @jax.enable_x64(True)
-    def derivatives() -> str:
+    def derivatives() -> None:
         single, here, interval = freeze(_arrays(motion)), _arrays(state), jnp.asarray(dt)
         known, factor = GivenInputs(_arrays(dict(inputs or {})), what), np.random.default_rng(0).normal(size=(n, n))
         P = (0.1 * factor + 0.3 * np.eye(n)) @ (0.1 * factor + 0.3 * np.eye(n)).T
@@ -108,41 +150,37 @@ def motion_checks(
         found = np.asarray(jax.jit(lambda b: matrix(ExtendedKalman().predict(b, single, known, interval).cov))(belief))
         error, size = np.abs(found - expected), np.abs(expected).max()
         worst = np.unravel_index(int(np.argmax(error)), error.shape)
-        words = (
-            f"the predicted covariance of {' and '.join(names[k] for k in worst)} is {found[worst]:.6g}, by difference"
-        )
-        fix = f"quotients {expected[worst]:.6g}; usual fix: no stop_gradient, `stages` that together are `step`"
-        assert error.max() <= 1e-5 * size, f"{words} {fix}"
-        return f"equal to difference quotients within {error.max() / size:.0e}"
+        words = f"covariance of {' and '.join(names[k] for k in worst)} is {found[worst]:.6g}, by difference quotients"
+        fix = f"{expected[worst]:.6g}; usual fix: no stop_gradient, `stages` that together are `step`"
+        assert error.max() <= 1e-5 * size, f"the predicted {words} {fix}"
 
     return [state_, zero_interval, randomness, finite, derivatives]
 
 
 def sensor_checks(
     sensor: AbstractSensor, view: Any, inputs: Inputs | None = None, reported: Sequence[float] = (), seed: int = 0
-) -> list[contract.Check]:
+) -> list[Check]:
     """The checks of a sensor at `view`, a `motion.view` of a state, with the known `inputs` of one row.
 
-    One predicted and one whitened number per channel; a masked channel has no influence and adds nothing to `nis_dof`;
-    residuals and derivatives are finite for outliers, and derivatives are difference quotients; `log_scale` makes a
-    density of the residual. `reported`: the noise columns of one reading. Raises UnusableInput for an object of
-    another kind.
+    One predicted and one whitened number per channel; a masked channel has no influence; residuals are finite for
+    outliers, derivatives are difference quotients; `log_scale` makes a density of the residual. `reported`: the noise
+    columns of one reading.
     """
     require(isinstance(sensor, AbstractSensor), "check_sensor", sensor, "an object of AbstractSensor")
     at, m, everything = _At(sensor, view, inputs, reported), len(sensor.channels), np.ones(len(sensor.channels), bool)
     what, names = f"{type(sensor).__name__}.residual", [channel.name for channel in sensor.channels]
 
-    @check()
+    @Check
     def measure() -> None:
         at.predicted()
 
-    @check(measure)
+    @Check
     def residual() -> None:
         whitened, _, dof = at.residual(0.0, everything)
         assert np.abs(whitened).max() <= 1e-3, f"{what} of a reading equal to the prediction is {whitened}, not zero"
         assert 0 < dof <= m, f"{what} has nis_dof {dof:g}, expected at most the channels seen, {m}"
 
-    @check(residual)
+    @Check
     def mask() -> None:
         rng = np.random.default_rng(seed)
         for seen in (~everything, *~np.eye(m, dtype=bool), *(rng.random((4, m)) < 0.5)):
@@ -154,16 +192,16 @@ def sensor_checks(
             found = f"whitened {whitened}, nis_dof {dof:g}, log_scale {scale:.4g} of seen {seen}"
             assert kept, f"{what} reads a masked channel: {found}; usual fix: jnp.where(seen, …, 0.0)"
 
-    @check(residual)
+    @Check
     def finite() -> None:
         for offset, seen in itertools.product((0.0, FAR, -FAR), (everything, ~everything)):
             place = f"{what} of a reading off by {offset:g}"
             _finite(place, at.residual(offset, seen)[0], names)
             _finite(f"the derivative of {place}", at.slopes(_arrays(at.predicted() + offset), seen), names)
 
-    @check(finite)
+    @Check
     @jax.enable_x64(True)
-    def derivatives() -> str:
+    def derivatives() -> None:
         double = _At(sensor, view, inputs, reported)
         values, n = _arrays(double.predicted() + 0.01 * np.cos(np.arange(m))), len(double.point)
 
@@ -181,9 +219,8 @@ def sensor_checks(
         assert error.max() <= 1e-4 * size, (
             f"{found}, by difference quotients {numeric[k, j]:.6g}; usual fix: no stop_gradient"
         )
-        return f"equal to difference quotients within {error.max() / size:.0e}"
 
-    @check(mask)
+    @Check
     def density() -> None:
         s = np.linspace(-8.0, 8.0, 4096)  # trapezoidal rule in s, far into the tails of Student's t
         for j, seen in enumerate(np.eye(m, dtype=bool)):
@@ -200,8 +237,8 @@ def sensor_checks(
     return [measure, residual, mask, finite, derivatives, density]
 
 
-check_motion = contract.reported(motion_checks)
-check_sensor = contract.reported(sensor_checks)
+check_motion = asserted(motion_checks)
+check_sensor = asserted(sensor_checks)
 
 
 class _At:
@@ -211,25 +248,21 @@ class _At:
         self.single, self.view, self.noise = freeze(_arrays(sensor)), _arrays(view), jnp.asarray(reported, float)
         self.what, self.names = f"{type(sensor).__name__}.measure", [channel.name for channel in sensor.channels]
         self.point, self.rebuild = coordinates(self.view)
-        self.known = cache(lambda: GivenInputs(_arrays(dict(inputs or {})), self.what))
+        self.known = GivenInputs(_arrays(dict(inputs or {})), self.what)
         self.predicted, self.slopes = cache(self._predicted), jax.jit(self._slopes)
         self.jitted = jax.jit(lambda values, seen: self.whitened(self.view, values, seen))
         self.densities = jax.jit(jax.vmap(lambda z, seen: self.jitted(z, seen).log_density, (0, None)))
         self.by_reading = jax.jit(jax.jacfwd(lambda z, seen: jnp.stack(self.jitted(z, seen).whitened)))
 
     def _predicted(self) -> np.ndarray:
-        known = self.known()
-        for field in self.single.view_fields:
-            assert hasattr(self.view, field), f"{self.what} reads '{field}' of the view; expected a view with it"
-        with _told(self.what, "view", self.view):
-            values = jax.jit(lambda: list(self.single.measure(self.view, known)))()
+        values = jax.jit(lambda: list(self.single.measure(self.view, self.known)))()
         shapes = [jnp.shape(z) for z in values]
         assert shapes == [()] * len(self.names), f"{self.what} returns shapes {shapes}, expected scalars: {self.names}"
         _finite(self.what, values, self.names)
         return np.array([float(z) for z in values])
 
     def whitened(self, view: Any, values: Any, seen: Any) -> Residual:
-        predicted = list(self.single.measure(view, self.known()))
+        predicted = list(self.single.measure(view, self.known))
         result = self.single.residual(Reading(values, seen, self.noise), predicted)
         return result._replace(whitened=list(result.whitened))
 
@@ -239,8 +272,7 @@ class _At:
 
     def residual(self, offset: Any, seen: Any) -> tuple[np.ndarray, float, float]:
         """The whitened residual of a reading off the prediction, log_scale and nis_dof."""
-        with _told(self.what, "view", self.view):
-            result = self.jitted(_arrays(self.predicted() + offset), np.asarray(seen, bool))
+        result = self.jitted(_arrays(self.predicted() + offset), np.asarray(seen, bool))
         found, m = len(result.whitened), len(self.names)
         assert found == m, f"the residual has {found} whitened numbers, expected one per channel, {m}"
         return np.array([float(r) for r in result.whitened]), float(result.log_scale), float(result.nis_dof)
@@ -248,30 +280,7 @@ class _At:
 
 def _arrays(tree: Any) -> Any:
     """The tree with its floats as arrays of jax's default precision, as in a run."""
-    kind = jnp.zeros(0).dtype
-
-    def cast(x: Any) -> Any:
-        floats = isinstance(x, float) or np.issubdtype(getattr(x, "dtype", int), np.floating)
-        return jnp.asarray(x, kind) if floats else jnp.asarray(x) if hasattr(x, "dtype") else x
-
-    return jax.tree_util.tree_map(cast, tree)
-
-
-@contextmanager
-def _told(what: str, role: str, given: Any) -> Iterator[None]:
-    """What goes wrong in a user's function of `given`, the view or the state, as a sentence."""
-    try:
-        yield
-    except AttributeError as error:
-        if not isinstance(error.obj, (Vector, type(given))):
-            raise
-        has = "a vector; expected components by number" if isinstance(error.obj, Vector) else f"the {role}, {given}"
-        raise BrokenContract(f"{what} reads '{error.name}' of {has}") from None
-    except MissingInputError as missing:
-        found = f"{missing.reader} reads the input '{missing.name}', which is not given"
-        raise BrokenContract(f"{found}; expected it in `inputs`, of the part and of this check") from None
-    except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
-        raise BrokenContract(f"{what} cannot be traced; usual fix: jnp.where for if, jnp for numpy") from error
+    return as_dtype(tree, jnp.zeros(0).dtype)
 
 
 def _finite(what: str, values: Any, names: Sequence[str]) -> None:

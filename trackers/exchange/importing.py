@@ -46,9 +46,8 @@ def moved_truth(truth: pl.DataFrame, recording: RecordingFolder, transform: str 
     if transform is None:
         tables = dict(recording.tables) | {"truth": truth.sort("t_s", maintain_order=True)}
         numbers, words = found_placement(replace(recording, tables=tables))
-        return placed(
-            truth, numbers
-        ), f"truth moved by --transform {','.join(f'{round(x, 3) + 0.0:.3f}' for x in numbers)}: {words}"
+        text = ",".join(f"{round(x, 3) + 0.0:.3f}" for x in numbers)
+        return placed(truth, numbers), f"truth moved by --transform {text}: {words}"
     numbers = pl.Series(transform.split(",")).cast(pl.Float64, strict=False).fill_null(math.nan).to_list()
     if len(numbers) not in (4, 5) or not np.isfinite(numbers).all():
         expected = "X,Y,Z,YAW or X,Y,Z,YAW,S: a shift in m after a turn about z in degrees, and s added to the times"
@@ -189,8 +188,6 @@ def import_frames(
     (docs/import.md). `tag`: the id of all rows, where no column has it. Raises UnusableInput.
     """
     require(isinstance(frames, Mapping), "import_frames", frames, "frames by table, as {'ranges': frame}")
-    expected = "expressions by table, as {'ranges': ['range_m=distance in mm']}"
-    require(isinstance(columns, Mapping | None), "import_frames: columns", columns, expected)
     source = _of_frames(frames, {table: columns_of(e) for table, e in (columns or {}).items()}, tag, "frame ")
     rig = read_rig(Path(rig))[0] if isinstance(rig, (str, Path)) else rig
     with tempfile.TemporaryDirectory() as scratch:

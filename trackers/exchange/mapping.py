@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import polars as pl
 
@@ -29,6 +28,7 @@ ORIGIN = "_origin"  # column of a table while it is imported: the number of its 
 class TableMapping(Reading):
     """A table of a source, in the keys of docs/import.md."""
 
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
     table: str
     columns: Mapping[str, str] = field(default_factory=dict)
     topic: str | None = None
@@ -38,26 +38,13 @@ class TableMapping(Reading):
     def __post_init__(self) -> None:
         if self.table not in table_kinds():
             raise UnusableInput(f"table {self.table!r}; expected one of {', '.join(table_kinds())}")
-        self.sources()
-
-    def sources(self) -> set[str]:
-        """The columns, or fields of messages, of the source that are asked for; raises UnusableInput."""
-        return {source for item in self.columns.items() for source in parsed(*item).sources} | {*self.where}
-
-
-@dataclass(frozen=True, kw_only=True)
-class _MappingFile:
-    """A file of mappings."""
-
-    __pydantic_config__: ClassVar = {"extra": "forbid"}
-
-    tables: list[TableMapping] = field(default_factory=list)
 
 
 def read_mapping(path: Path) -> list[TableMapping]:
     """The mappings of a preset, by its name, or of a TOML file with entries [[tables]]; raises UnusableInput."""
     expected = f"entries [[tables]], or a preset by name: {', '.join(sorted(PRESETS))}{near(str(path), PRESETS)}"
-    if tables := read_model(PRESETS.get(str(path), path), _MappingFile, expected).tables:
+    content = read_model(PRESETS.get(str(path), path), dict[Literal["tables"], list[TableMapping]], expected)
+    if tables := content.get("tables"):
         return tables
     raise UnusableInput(f"{path}: no tables; expected {expected}")
 
@@ -73,7 +60,7 @@ class Source:
     def read(self, file: TableFile, mapping: TableMapping) -> None:
         """Adds the table that a mapping makes of the columns of a file; raises UnusableInput."""
         name, groups, tables = mapping.table, dict[str | None, dict[str, Expression]](), list[pl.DataFrame]()
-        for target, text in spelled_out(mapping.columns, file.frame.columns).items():
+        for target, text in mapping.columns.items():
             groups.setdefault(sensor_of(target)[1], {})[sensor_of(target)[0]] = parsed(target, text, file)
         asked = pl.repeat(True, len(file.frame), eager=True)
         for column, values in mapping.where.items():
@@ -129,18 +116,6 @@ def without_identities(table: pl.DataFrame) -> tuple[pl.DataFrame, list[str]]:
     if not {*QUATERNION} <= {*table.columns} or not table.select(pl.all_horizontal(one)).item():
         return table, []
     return table.drop(QUATERNION), ["every quaternion is the identity; read as positions without attitude"]
-
-
-def spelled_out(columns: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
-    """The columns, with one for each of the source's `names` that fits an expression with holes, as `d{a}`."""
-    found = dict[str, str]()
-    for target, text in columns.items():
-        hole = re.search(r"[^\s*/+()]*\{\w+\}[^\s*/+()]*", text)
-        pattern = re.sub(r"\\\{(\w+)\\\}", r"(?P<\1>\\w+)", re.escape(hole[0])) if hole else ""
-        matches = [match for name in names if (match := re.fullmatch(pattern, name))] if hole else []
-        found |= {target.format(**m.groupdict()): text.replace(hole[0], f"`{m[0]}`") for m in matches if hole}
-        found |= {} if hole else {target: text}
-    return found
 
 
 def _complete(

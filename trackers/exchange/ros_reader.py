@@ -12,12 +12,12 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.exchange.mapping import Source, TableMapping, read_mapping
-from trackwright.trackers.exchange.text_tables import sensor_of
+from trackwright.trackers.exchange.text_tables import parsed, sensor_of
+from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.tables import TableFile
 
 MESSAGES = Path(__file__).parent / "presets" / "_messages.toml"  # standard ones, by their type in place of a topic
-LARGEST_BAG = 2**35  # bytes; only the messages of the topics asked for are held
 
 
 def read_bag(path: Path, mappings: Sequence[TableMapping]) -> Source:
@@ -29,9 +29,8 @@ def read_bag(path: Path, mappings: Sequence[TableMapping]) -> Source:
         raise UnusableInput(f"{path}: needs the package rosbags: pip install 'trackwright[ros]'") from None
     source = Source()
     try:
-        files = [entry for entry in path.iterdir() if not entry.is_dir()] if path.is_dir() else [path]
-        if sum(file.stat().st_size for file in files) > LARGEST_BAG:
-            raise UnusableInput(f"{path}: holds more than {LARGEST_BAG / 1e9:.1f} GB; copy the topics needed")
+        for file in (entry for entry in (path.iterdir() if path.is_dir() else [path]) if not entry.is_dir()):
+            file_bytes(file, 0)  # refuses pipes and devices
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             for mapping in mappings:
                 source.read(*_columns(reader, path, mapping))
@@ -60,7 +59,8 @@ def _columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[TableFile,
             standard = {"t_s": "header.stamp", **one.columns}
             columns = {target: text for target, text in standard.items() if target in taken} | columns
     mapping = replace(mapping, columns=columns)
-    if not (sources := sorted(mapping.sources())):
+    sources = sorted({*mapping.where, *(name for item in columns.items() for name in parsed(*item).sources)})
+    if not sources:
         fix = f"map its fields, as --columns 'range_m=FIELD'; fields: {fields}"
         raise UnusableInput(f"{topic} has {kinds[0]}, no standard message for {wanted}; {fix}")
     rows: dict[str, list[Any]] = {source: [] for source in sources}

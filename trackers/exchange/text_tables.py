@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import codecs
 import csv
+import gzip
 import json
 import re
+import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -16,7 +18,8 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed, near
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.recordings.tables import TableFile, content_of_file, first_row, read_table_file, remedy
+from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.tables import TableFile, first_row, read_table_file, remedy
 
 CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}  # times of day; days, counted to the begin of 1970
 
@@ -162,8 +165,8 @@ def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
         row = first_row(wrong)
         alike = f"as {first!r}, a time zone in all rows or none" if row != first_row(full) else "no order is guessed"
         mark = next((one for one in "/." if one in given[row].split(" ")[0]), "-")
-        named = re.search("-[A-Za-z]{3}-", given[row])
-        orders = ["dd-mmm-yyyy"] if named else [f"mm{mark}dd{mark}yyyy", f"dd{mark}mm{mark}yyyy"]
+        orders = [f"mm{mark}dd{mark}yyyy", f"dd{mark}mm{mark}yyyy"]
+        orders = ["dd-mmm-yyyy"] if re.search("-[A-Za-z]{3}-", given[row]) else orders
         fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
         raise UnusableInput(f"{file.location(row, column)}: {given[row]!r}; expected {order}, {alike}: {fix}")
     return found
@@ -200,10 +203,7 @@ Rows = tuple[pl.DataFrame, Sequence[int] | pl.Series, list[str]]  # columns of t
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """How a text is read; `header` is the line of the names, or none; `missing` are marks.
-
-    `lines`: a pattern whose named groups are the columns, with a row for each place where it fits in a line of a log.
-    """
+    """How a text is read; `lines`: a pattern whose named groups are the columns, a row for each place in a log."""
 
     separator: str | None = None
     decimal: Literal[".", ","] = "."
@@ -233,15 +233,17 @@ def read_rows(path: Path, form: Reading, is_json: bool = False) -> tuple[TableFi
 def _text(path: Path, form: Reading) -> str:
     """The text of a file, which may be packed; raises UnusableInput with the line of bytes that are no text."""
     try:
-        data = content_of_file(path)
+        data = file_bytes(path)
+        data = gzip.decompress(data) if path.name.endswith(".gz") else data
         utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         # What a serial line has garbled fits no pattern.
         text = data.decode(form.encoding or ("utf-16" if utf_16 else "utf-8"), "replace" if form.lines else "strict")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise UnusableInput(f"{path}: line {line} is no {error.encoding}; name another, as --encoding cp1252") from None
-    except LookupError as error:
-        raise UnusableInput(f"{path}: cannot be read ({error}); check --encoding") from error
+    except (OSError, EOFError, zlib.error, LookupError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UnusableInput(f"{path}: cannot be read ({reason}); check path, file and --encoding") from error
     if "\0" in text and not form.lines:
         raise UnusableInput(f"{path}: holds binary data, expected text; name its encoding, as --encoding utf-16-le")
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
@@ -299,15 +301,14 @@ def _of_table(path: Path, text: str, form: Reading) -> Rows:
 def _cells(lines: pl.DataFrame, mark: str) -> pl.DataFrame:
     """The cells of each row, and the line at which it begins; a quoted cell may go over several lines."""
     text = pl.col("text").str.replace_all(r"[ \t]+", " ").str.strip_chars(" ") if mark == " " else pl.col("text")
-    if not lines["text"].str.contains('"', literal=True).any():
-        return lines.select("line", cells=text.str.split(mark))
+    numbers = lines["line"].to_list()
     reader, rows, before = csv.reader((f"{x}\n" for x in lines.select(text)["text"]), delimiter=mark), [], 0
     try:
         for row in reader:
-            rows.append((lines["line"][before], row))
+            rows.append((numbers[before], row))
             before = reader.line_num
     except csv.Error as error:
-        raise UnusableInput(f"line {lines['line'][before]} is not CSV ({error}); check the quotes") from error
+        raise UnusableInput(f"line {numbers[before]} is not CSV ({error}); check the quotes") from error
     return pl.DataFrame(rows, {"line": pl.UInt32, "cells": pl.List(pl.String)}, orient="row")
 
 

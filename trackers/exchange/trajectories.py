@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
@@ -102,8 +102,8 @@ def read_tum(path: Path) -> TableFile:
     counts = file.frame.select(pl.sum_horizontal(pl.all().is_not_null())).to_series()
     if (counts != len(TUM)).any():
         row = first_row(counts != len(TUM))
-        expected = "8 numbers: time in s, x, y, z in m, quaternion x, y, z, w"
-        raise UnusableInput(f"{file.location(row, f'column{counts[row]}')}, the last; expected {expected}")
+        where = file.location(row, f"column{counts[row]}")
+        raise UnusableInput(f"{where}, the last; expected 8 numbers: time, s, x, y, z, m, quaternion x, y, z, w")
     return replace(file, frame=file.frame.rename(dict(zip(file.frame.columns, TUM, strict=True))))
 
 
@@ -134,10 +134,7 @@ def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
 
 
 def write_trajectory(table: pl.DataFrame, path: Path | str) -> Path:
-    """Writes the usable poses of one tag as TUM with all digits, and returns the path.
-
-    An unknown height is written as 0, an unknown attitude as the identity.
-    """
+    """Writes the usable poses of one tag as TUM; an unknown height is 0, an unknown attitude the identity."""
     numbers = np.nan_to_num(stacked(usable_rows(table), TUM))
     numbers[:, 7] = np.where(numbers[:, 4:].any(axis=1), numbers[:, 7], 1.0)
     return write_whole(Path(path), "".join(" ".join(map(repr, row)) + "\n" for row in numbers.tolist()))
@@ -145,8 +142,8 @@ def write_trajectory(table: pl.DataFrame, path: Path | str) -> Path:
 
 def export_tracks(
     run: Path, format: Literal["tum", "csv"], out: Path, tag: str | None = None, force: bool = False
-) -> Iterator[str]:
-    """Exports the tracks in a folder of `track`, or the truth of a recording; a line for each file."""
+) -> str:
+    """Exports the tracks in a folder of `track`, or the truth of a recording, in TUM one alone; what it wrote."""
     recording = read_recording(run) if (run / RIG_FILE).is_file() else None
     table = read_tracks(run) if recording is None else recording.tables.get("truth")
     if table is None:
@@ -154,19 +151,13 @@ def export_tracks(
     table = Selection(() if tag is None else (tag,)).of_estimates(table)
     if recording is not None:
         table = table.with_columns(recording=pl.lit(recording.name))
-    tracks = {out: table}
-    if format == "tum":
-        if is_bearing(table) or (table := usable_rows(table)).is_empty():
-            raise UnusableInput(f"{run}: holds no estimate of a position; --format csv writes what there is")
-        parts = table.partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
-        names = (re.sub(r"[^\w.-]", "_", f"{recording}-{tag}")[:100] for recording, tag in parts)
-        files = [out] if len(parts) == 1 and out.suffix else [out / f"{name}.tum" for name in names]
-        tracks = dict(zip(files, parts.values(), strict=True))
-    if not force and (old := [path for path in tracks if path.exists()]):
-        raise UnusableInput(f"--out {old[0]}: exists; expected a new file; --force replaces it")
-    for path, rows in tracks.items():
-        write_whole(path, rows.write_csv()) if format == "csv" else write_trajectory(rows, path)
-        yield f"wrote {path}: {counted(len(rows), 'pose' if format == 'tum' else 'row')}"
+    if out.exists() and not force:
+        raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
+    if format == "csv":
+        return f"wrote {write_whole(out, table.write_csv())}: {counted(len(table), 'row')}"
+    if is_bearing(table) or (tracks := usable_rows(table)).select("recording", "tag").n_unique() != 1:
+        raise UnusableInput(f"{run}: expected the positions of one track; choose it by --tag, or --format csv")
+    return f"wrote {write_trajectory(tracks, out)}: {counted(len(tracks), 'pose')}"
 
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
@@ -176,10 +167,7 @@ STEPS = ("1m", "1s")
 
 
 def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estimate") -> Similarity:
-    """The map of least squares from poses to true ones, row k to row k (Umeyama 1991), by evo's names of kinds.
-
-    `se2`: in the plane. Raises UnusableInput.
-    """
+    """The map of least squares from poses to true ones, row by row (Umeyama 1991), as evo's; `se2`: in the plane."""
     require(kind in get_args(Alignment), "align", kind, f"one of {', '.join(get_args(Alignment))}")
     x, y, rotation, translation = estimate.positions, truth.positions, np.eye(3), np.zeros(3)
     axes, n = (2 if kind == "se2" else 3), len(x)
@@ -256,10 +244,9 @@ def statistics(errors: np.ndarray) -> Statistics:
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryErrors:
-    """Statistics of absolute errors (`ape`) and of relative ones by step (`rpe`) of a track.
+    """Statistics of absolute errors (`ape`) and of relative ones by step (`rpe`) of `pairs` of `possible` poses.
 
-    `pairs`: poses with a true one, of `possible`, the length of the shorter trajectory. `planar`: a height is unknown,
-    so that errors are horizontal. `time_offset_s` and `alignment` lead from the estimate to the table `aligned`.
+    `planar`: a height is unknown, so that errors are horizontal. `aligned`: the table of estimates as compared.
     """
 
     pairs: int
@@ -329,10 +316,7 @@ def compare_trajectories(
 def read_poses(
     source: Path, truth: Sequence[Path], part: Selection, say: Callable[[str], None]
 ) -> tuple[pl.DataFrame, list[RecordingFolder]]:
-    """Estimates of a file or a folder of `track`, and the recordings with their truths; `say` gets each notice.
-
-    `truth`: recordings, or a trajectory file of the one tag that the estimates follow. Raises UnusableInput.
-    """
+    """Estimates of a file or a folder of `track`, and recordings with truth, or one of a trajectory file of one tag."""
     if not truth or not (all(path.is_dir() for path in truth) or [path.is_file() for path in truth] == [True]):
         found, expected = listed(truth) or "none", "recording folders, or one trajectory file, that exist"
         raise UnusableInput(f"--truth: found {found}; expected {expected}")
@@ -351,8 +335,6 @@ def read_poses(
         rig = Rig(names["recording"])
         folders = [RecordingFolder(rig.name, truth[0], rig, {"truth": table}, tuple(said))]
     truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
-    if not truths:
-        raise UnusableInput(f"{truth[0]}: no truth table; expected a recording with truth, or a trajectory file")
     tags = sorted({str(one) for table in truths.values() for one in table["tag"].unique()})
     for name, known, option in (("recording", [*truths], "--truth"), ("tag", [tag] * (tag in tags) or tags, "--tag")):
         if name not in tracks.columns:

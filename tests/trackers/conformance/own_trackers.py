@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -12,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import trackwright as tw
-from trackwright.trackers.core.filters.filter import AbstractFilter
 from trackwright.trackers.core.model.motion import Placed
 from trackwright.trackers.core.model.sensor import LOG_2PI
 from trackwright.trackers.core.run.scan import Output
@@ -141,30 +139,7 @@ class AtTheFirst(tw.AbstractStart):
         return tw.Gaussian(state, tw.diagonal([0.3**2, 0.3**2, 1.0, 1.0], zero))
 
 
-class Altered(AbstractFilter):
-    """An extended Kalman filter whose covariance after an update, or its mean, is changed."""
-
-    of_cov: float = eqx.field(static=True, default=1.0)
-    of_mean: float = eqx.field(static=True, default=0.0)
-
-    def init(self, belief, key):
-        return belief
-
-    def predict(self, belief, motion, inputs, dt):
-        return tw.ExtendedKalman().predict(belief, motion, inputs, dt)
-
-    def update(self, belief, motion, sensor, reading, inputs):
-        after, innovation = tw.ExtendedKalman().update(belief, motion, sensor, reading, inputs)
-        cov = after.cov if self.of_cov == 1.0 else jax.tree_util.tree_map(lambda x: x * self.of_cov, after.cov)
-        mean = after.mean._replace(position=after.mean.position + after.mean.position * self.of_mean)
-        return tw.Gaussian(mean, cov), innovation
-
-    def moments(self, belief):
-        return belief.mean, belief.cov
-
-
-def kalman(filter_: Any = None, start: Any = None, **sensor: Any) -> tw.Tracker:
+def kalman(start: Any = None, **sensor: Any) -> tw.Tracker:
     """A linear tracker of positions."""
     places = Places(tw.Scale(0.2, "m", "measurement noise"), **sensor)
-    tracker = tw.Tracker(tw.ConstantVelocity(0.5, 2), {"places": places}, start or AtTheFirst())
-    return tracker if filter_ is None else replace(tracker, filter=filter_)
+    return tw.Tracker(tw.ConstantVelocity(0.5, 2), {"places": places}, start or AtTheFirst())

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import replace
-
-import jax
 import jax.numpy as jnp
 import pytest
 
 import trackwright as tw
 from tests.trackers.conformance.own_trackers import (
-    Altered,
     AtTheFirst,
     CountedTwice,
     Unsettled,
@@ -19,7 +14,6 @@ from tests.trackers.conformance.own_trackers import (
     kalman,
     recordings,
 )
-from trackwright.trackers.conformance.worlds import compare_errors, drawn_world
 
 
 def _and(add):
@@ -33,12 +27,6 @@ def _of_padding(output, batch):
 
 def _of_later_rows(output, batch):
     return jnp.flip(jnp.cumsum(jnp.flip(jnp.where(batch.valid, output.nis, 0.0), 0), axis=0), 0)
-
-
-def _of_garbage(output, batch):
-    reading = batch.readings["places"]
-    largest = jnp.max(jnp.where(reading.seen & batch.valid[:, None], jnp.abs(reading.values), 0.0))
-    return jnp.where(largest > 20.0, 1.0, 0.0)
 
 
 def _of_the_number(output, batch):
@@ -65,7 +53,6 @@ FAULTS = {
         {"number and order"},
         r"a batch of the recordings \[.*\] changes nis",
     ),
-    "other tags": (lambda: averaged(_and(_of_garbage)), {"other tags"}, "a reading of 1e\\+30 in recording 2 changes nis"),
     "hidden values": (
         lambda: kalman(change=lambda r, z: r._replace(
             log_scale=r.log_scale + 1e-3 * jnp.where(z.seen[0], 0.0, jnp.asarray(z.values[0]))
@@ -82,7 +69,6 @@ FAULTS = {
     ),
     "accumulate": (lambda: CountedTwice(averaged()), {"accumulate"}, "by `accumulate`, .* by `scan`"),
     "gradient": (lambda: averaged(held=True), {"gradient"}, "by sigma is 0, by difference quotients"),
-    "consistency": (lambda: kalman(Altered(of_cov=0.25)), {"consistency"}, "NEES .* are too small"),
     "run: finite": (
         lambda: kalman(change=lambda r, z: r._replace(log_scale=r.log_scale / (z.values[0] - z.values[0]))),
         {"run"},
@@ -93,61 +79,14 @@ FAULTS = {
 """By the check that finds it: a tracker with a fault, all checks that fail with it, and what the sentence says."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow if n == "consistency" else ()) for n in FAULTS]
-)
+@pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_found_by_its_check(name):
     tracker, _, message = FAULTS[name]
     check = next(c for c in tw.tracker_checks(tracker(), recordings()) if str(c) == name.partition(":")[0])
-    assert check.result.outcome == "fail", check.result
-    assert re.search(message, check.result.sentence), check.result
-    with pytest.raises(tw.BrokenContract):
+    with pytest.raises(tw.BrokenContract, match=message):
         check()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_fails_no_other_check(name):
-    tracker, failing, _ = FAULTS[name]
-    report = tw.check_tracker(tracker(), recordings())
-    assert {one.name for one in report.failures} == failing, report
-
-
-@jax.enable_x64(True)
-def test_errors_of_another_size_are_named():
-    tracker, of_run = kalman(), recordings()
-    world = drawn_world(tracker, of_run[0], tracker.run(of_run)[0], 0, n=8)
-    for factor, message in ((0.1, "covariances are too small"), (10.0, "covariances are too large")):
-        with pytest.raises(AssertionError, match=message):
-            compare_errors(world, replace(world.estimates, cov_upper=factor * world.estimates.cov_upper))
-
-
-@pytest.mark.slow
-def test_a_linear_tracker_passes_all_checks():
-    report = tw.check_tracker(kalman())
-    assert {one.outcome for one in report} == {"pass"}, report
-
-
-def test_a_tracker_that_is_no_filter_passes_all_checks_that_apply():
-    report = tw.check_tracker(averaged(), recordings(3))
-    assert not report.failures, report
-    assert {one.name for one in report if one.outcome == "skip"} == {"consistency"}
-
-
-def test_a_derivative_between_corners_that_lie_close_together_is_no_wrong_one():
-    def folded(output, batch):
-        log_sigma = 0.5 * jnp.log(output.cov[0])
-        fold = 1e-4 * jnp.abs(log_sigma / 1e-4 - jnp.round(log_sigma / 1e-4))
-        return output._replace(log_likelihood=output.log_likelihood + 0.05 * fold)
-
-    found = {str(c): c for c in tw.tracker_checks(averaged(folded), recordings())}["gradient"].result
-    assert (found.outcome, found.sentence) == ("pass", "2 tunables"), found
-
-
-def test_a_tracker_that_reads_inputs_or_is_no_filter_needs_recordings():
-    with pytest.raises(tw.UnusableInput, match="found a Averaged; expected recordings"):
-        tw.check_tracker(averaged())
-    with pytest.raises(
-        tw.UnusableInput, match=r"found a Tracker of the inputs height.*; usual fix: check_tracker\(mine"
-    ):
-        tw.check_tracker(tw.fix_tracker(planar=True))
+def test_sound_trackers_pass_all_checks():
+    tw.check_tracker(kalman(), recordings(3))
+    tw.check_tracker(averaged(), recordings(3))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import polars as pl
 import pytest
@@ -100,42 +98,6 @@ def test_what_a_bag_does_not_hold_is_refused(bags, tmp_path, arguments, words):
     assert not (tmp_path / "x").exists()
 
 
-@pytest.mark.parametrize("name", ["ros1.bag", "ros2-mcap/ros2-mcap.mcap"])
-def test_a_broken_bag_is_refused_wherever_it_is_broken(bags, tmp_path, name):
-    whole, rng = (bags / name).read_bytes(), np.random.default_rng(6)
-    broken, refused = tmp_path / f"broken{(bags / name).suffix}", 0
-    (tmp_path / "rig.toml").write_text(RIG)
-    for at in rng.integers(20, len(whole) - 20, 25).tolist():
-        cut = bool(rng.integers(2))
-        broken.write_bytes(whole[:at] if cut else whole[:at] + rng.bytes(12) + whole[at + 12 :])
-        arguments = ("--topic", "/vicon/cart", "--table", "truth", "--tag", "c", "--out", tmp_path / f"out-{at}")
-        said = trackwright("import", broken, *arguments)
-        assert said.code in (0, 2)
-        refused += said.code == 2
-        if said.code == 2:
-            assert said.err.splitlines()[-1].startswith("trackwright: ")
-            assert not (tmp_path / f"out-{at}").exists()
-    assert refused >= 10
-
-
-@pytest.mark.parametrize("preset", ["crazyflie", "crazyflie-tdoa"])
-def test_a_log_of_cfclient_has_a_column_for_each_anchor_or_pair(tmp_path, preset):
-    names = [f"ranging.distance{a}" if preset == "crazyflie" else f"tdoa2.d{a}-{a + 1}" for a in range(3)]
-    rows = "".join(f"{100 * k},{k + 1},{k + 2},{k + 3}\n" for k in range(2))
-    (tmp_path / "lps.csv").write_text(f"Timestamp,{','.join(names)}\n{rows}")
-    (tmp_path / "rig.toml").write_text(
-        "format = 1\n[anchors]\n" + "".join(f"{k} = [{k}.0, {k % 2}.0, 2.0]\n" for k in range(4))
-    )
-    words = "import", tmp_path / "lps.csv", "--rig", tmp_path / "rig.toml", "--mapping"
-    said = trackwright(*words, preset, "--out", tmp_path / "hall")
-    assert said.code == 0, said.err
-    (table,) = read_recording(tmp_path / "hall").tables.values()
-    pairs = [("cf", str(a)) if preset == "crazyflie" else ("cf", str(a + 1), str(a)) for a in range(3)]
-    assert table.rows() == [(0.1 * k, *pairs[a], float(k + a + 1)) for k in range(2) for a in range(3)]
-    other = "crazyflie-tdoa" if preset == "crazyflie" else "crazyflie"
-    assert_refused_last(trackwright(*words, other, "--out", tmp_path / "x"), "which no column gives; found 'Timestamp'")
-
-
 @pytest.fixture
 def bag(recordings):
     """The bag of a real walk, beside the recording that was made of it by hand."""
@@ -166,49 +128,3 @@ def test_the_bag_of_isas_walk_1_gives_the_recording_that_was_made_by_hand(bag, r
     turn = Rotation.from_quat(tables["truth"].select("qw", "qx", "qy", "qz").to_numpy(), scalar_first=True)
     way = turn.inv().apply(tables["truth"].select("x_m", "y_m", "z_m").to_numpy() - raw)
     np.testing.assert_allclose(way, np.tile([0.1, -0.025, 0.0], (len(way), 1)), atol=1e-6)
-
-
-POSES = ("--table", "truth", "--tag", "T")
-BAG = ("--table", "truth", "--topic", "/vicon/cart", "--tag", "T")
-SOURCES = {
-    "log.csv": ("--table", "fixes", "--separator", ";"),
-    "log.csv.gz": ("--table", "fixes"),
-    "path.tum": POSES,
-    "path": POSES,
-    "a.bag": BAG,
-    "a.mcap": BAG,
-    "a.db3": BAG,
-}
-
-
-def _refused(*words):
-    said = trackwright("import", *words)
-    assert said.code == 2, said
-    lines = [line for line in said.err.splitlines() if line.startswith("trackwright: ")]
-    assert len(lines) == 1, said.err
-    return lines[0]
-
-
-@pytest.mark.parametrize("name", SOURCES)
-@pytest.mark.parametrize("what", ["large", "pipe", "/dev/zero"])
-def test_a_large_file_and_one_without_an_end_are_refused_before_they_are_read(tmp_path, name, what):
-    if what == "large":
-        with (tmp_path / name).open("wb") as file:
-            file.truncate(2**40)  # a hole: no byte is stored
-    elif what == "pipe":
-        os.mkfifo(tmp_path / name)
-    else:
-        (tmp_path / name).symlink_to(what)
-    words = _refused(tmp_path / name, *SOURCES[name], "--out", tmp_path / "out")
-    assert ("holds more than" if what == "large" else "is a pipe or device, not a file") in words
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("outside", ["../other/other.mcap", "/proc/self/mem"])
-def test_a_bag_reads_nothing_outside_its_folder(tmp_path, outside):
-    write_bag(tmp_path / "bag", "mcap")
-    write_bag(tmp_path / "other", "mcap")
-    (tmp_path / "bag" / "bag.mcap").unlink()
-    metadata = tmp_path / "bag" / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("bag.mcap", outside))
-    assert "missing" in _refused(tmp_path / "bag", *BAG, "--out", tmp_path / "out")
