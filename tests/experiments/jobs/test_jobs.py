@@ -32,7 +32,7 @@ class Numbers(Store):
 
 
 class KilledWorker(Exception):  # noqa: N818 - the name in Dask
-    """That of Dask."""
+    pass
 
 
 class Deadly(WorkerExecutor):

@@ -155,8 +155,6 @@ def test_every_condition_and_tracker_has_its_metrics(whole):
         (('metrics = ["rmse_m"', 'metrics = [5, "rmse_m"'), "no metric 5; names: "),
         (("rate_hz = 1.0", "rate = 1.0"), "parameter 'rate' is unknown; expected one of situation, speed, rate_hz"),
         (("rate_hz = 1.0", "rate_hz = 0.0"), "rate_hz = 0.0: expected a number from 0.1 to 1000"),
-        (("[worlds.line]", "[worlds.lime]"), "lime"),
-        (("runs = 12", "runs = "), "TOML"),
         (("[worlds.line]", "[grid]\n'motion.sigma_q' = [1.0]\n[worlds.line]"), "motion.sigma_q"),
     ],
 )
