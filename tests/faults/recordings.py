@@ -20,9 +20,6 @@ VALUES = (
 """What a cell or an id may hold."""
 
 TOML = ("nan", "inf", "1e400", "0", "-1", "true", '""', "[]", "{}", "[[]]", "1979-05-27", "9" * 400, "[nan, 0, 0]", "[1, 2]", "[true, true, true]", "")  # fmt: skip
-"""What may stand for a value of rig.toml."""
-
-TYPES = (pl.Float32, pl.Int8, pl.UInt64, pl.Date, pl.Boolean, pl.Categorical, pl.Binary, pl.Duration("us"), pl.Null)
 
 
 def pick(draw: Draw, among):
@@ -92,22 +89,6 @@ def missing(draw: Draw, frame: pl.DataFrame) -> pl.DataFrame:
     return pick(draw, ways)
 
 
-def more(draw: Draw, frame: pl.DataFrame) -> pl.DataFrame:
-    """Rows twice, or columns that nobody knows."""
-    return pick(
-        draw, (pl.concat([frame, frame]), frame.with_columns(pl.lit(0.1).alias(f"extra_{k}") for k in range(300)))
-    )
-
-
-def typed(draw: Draw, frame: pl.DataFrame) -> pl.DataFrame:
-    """A column of another type, where polars can convert it; else all null."""
-    column, kind = pick(draw, frame.columns), pick(draw, TYPES)
-    try:
-        return frame.with_columns(pl.col(column).cast(kind, strict=False))
-    except pl.exceptions.PolarsError:
-        return frame.with_columns(pl.lit(None).alias(column))
-
-
 def of_rig(draw: Draw, text: str) -> str:
     """rig.toml with another value, a line less or twice, or anchors in one place."""
     lines = text.splitlines(keepends=True)
@@ -135,4 +116,4 @@ def encoded(draw: Draw, data: bytes) -> bytes:
     return data.decode("latin-1").encode(pick(draw, ("utf-16", "utf-32", "utf-8-sig", "cp037")), "replace")
 
 
-OF_FRAMES, OF_BYTES = (times, units, values, missing, more, typed), (flipped, cut, encoded)
+OF_FRAMES, OF_BYTES = (times, units, values, missing), (flipped, cut, encoded)

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -79,15 +75,6 @@ def test_a_table_with_standard_deviations_gets_its_nees(beginnings, truth, tmp_p
     assert_refused_last(said, "row 1 (line 2), column std_x_m: -0.1, expected a standard deviation above zero")
 
 
-def test_one_of_several_tags_in_a_table_is_scored_alone(beginnings, truth, tmp_path):
-    both = [truth.select("t_s", "x_m", "y_m", "z_m", tag=pl.lit(tag)) for tag in ("T1", "T2")]
-    pl.concat(both).write_csv(tmp_path / "own.csv")
-    said = trackwright("evaluate", tmp_path / "own.csv", "--truth", beginnings / "good", "--tag", "T1", "--json")
-    assert json.loads(said.out)["overall"]["n_rows"] == len(truth)
-    said = trackwright("evaluate", tmp_path / "own.csv", "--truth", beginnings / "good", "--tag", "X9")
-    assert_refused_last(said, "expected tags among T1, T2")
-
-
 @pytest.fixture
 def run(truth, tmp_path):
     """The output folder of `track` of one tag, T7 of hall-1: the true path of T1, 0.3 s late, 4 cm beside it."""
@@ -136,8 +123,3 @@ def test_what_track_writes_opens_in_evo_with_the_same_errors(recordings, tmp_pat
     assert ours["pairs"] == poses
     for statistic, value in expected["ape"].items():
         assert ours["ape_m"][statistic] == pytest.approx(value, abs=1e-6)
-    environment = os.environ | {"HOME": str(tmp_path), "MPLBACKEND": "Agg"}
-    command = [Path(sys.executable).parent / "evo_ape", "tum", true, own]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    (line,) = (line for line in done.stdout.splitlines() if "rmse" in line)
-    assert float(line.split()[1]) == pytest.approx(ours["ape_m"]["rmse"], abs=1e-6)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import re
 import resource
@@ -11,13 +10,12 @@ import subprocess
 import sys
 from dataclasses import replace
 from importlib.metadata import version
-from pathlib import Path
 from typing import get_args
 
 import polars as pl
 import pytest
 
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import trackwright
 from trackwright.experiments.cli import console, options
 from trackwright.experiments.cli.commands import COMMANDS, application
 from trackwright.sim import worlds
@@ -107,14 +105,6 @@ def test_a_track_imports_its_own_system_and_nothing_of_studies_clusters_and_othe
     assert not {name for name in ours if name.startswith(tuple(f"trackwright.{place}." for place in places))}
 
 
-def test_a_code_page_without_our_characters_gets_marks_for_them(beginnings):
-    line = [sys.executable, "-m", "trackwright", "evaluate", str(beginnings / "tracked")]
-    environment = os.environ | {"PYTHONIOENCODING": "cp1252"}
-    done = subprocess.run(line, env=environment, capture_output=True, check=False)
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert "???" in done.stdout.decode("cp1252")
-
-
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 @pytest.mark.parametrize(("end", "code"), [("> /dev/full", 2), ("| true; exit ${PIPESTATUS[0]}", 1)])
 def test_an_output_that_takes_no_more_is_a_line_or_none(end, code):
@@ -150,16 +140,6 @@ def test_a_disk_that_fills_while_a_file_is_written_spoils_no_older_file(tmp_path
     assert {path.name for path in out.iterdir()} == before
     table = out / "tracks.parquet"
     assert table.read_bytes() == b"older" or pl.read_parquet(table).height == 60
-
-
-def test_a_disk_that_is_full_for_a_simulation_leaves_nothing(tmp_path, monkeypatch):
-    def full(*arguments):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(Path, "rename", full)
-    said = trackwright("simulate", "station", "--out", tmp_path / "out", "--n", 1, "--rows", 2)
-    assert_refused(said, f"{tmp_path / 'out'}: cannot be written (No space left on device), nothing was kept")
-    assert not list(tmp_path.iterdir())
 
 
 def _raising(error):

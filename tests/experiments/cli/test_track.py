@@ -10,13 +10,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.broken import ANOMALOUS, BROKEN
+from tests.broken import BROKEN
 from tests.faulty import good_tables, with_table, write_good
 from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.sim import worlds
 from trackwright.sim.stations import facing
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Station, Tag
-from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackwright.trackers.recordings.folder import RecordingFolder, Selection, read_recording, write_recording
 
 BEARINGS = ("station", "azimuth_rad", "elevation_rad", "std_azimuth_rad", "std_elevation_rad")
 
@@ -146,15 +147,11 @@ def test_a_part_of_a_recording_is_tracked_and_of_estimates_evaluated(room, tmp_p
     assert _overall(tmp_path / "whole", "--tag", "0", "--from", "2")["n_rows"] == later.height
 
 
-def test_seconds_after_the_start_are_refused_where_times_count_from_1970(room, tmp_path):
-    folder, since = read_recording(room), 1777898800.0
-    tables = {name: table.with_columns(pl.col("t_s") + since) for name, table in folder.tables.items()}
-    write_recording(replace(folder, tables=tables), tmp_path / "unix")
-    command = ("track", tmp_path / "unix", *PLAIN, "--tracker", "uwb", "--out", tmp_path / "out")
-    expected = "the times count from 1970, and 3 s is long before them; 3 s after the start is 1777898803"
-    assert_refused(trackwright(*command, "--from", 3), expected)
-    assert trackwright(*command, "--from", since + 3).code == 0
-    assert_refused(trackwright("evaluate", tmp_path / "out", "--from", 3), "1777898806")
+def test_seconds_after_the_start_are_refused_where_times_count_from_1970(room):
+    folder = read_recording(room)
+    tables = {name: table.with_columns(pl.col("t_s") + 1777898800.0) for name, table in folder.tables.items()}
+    with pytest.raises(UnusableInput, match="3 s is long before them; 3 s after the start is 1777898803"):
+        Selection(start=3.0).of(replace(folder, tables=tables))
 
 
 def test_tables_that_the_chosen_tracker_does_not_read_are_named(room, tmp_path):
@@ -231,7 +228,7 @@ def test_recordings_that_cannot_be_read_or_lack_what_the_tracker_reads_cost_thei
     assert [one["recording"] for one in content["recordings"]] == ["ranged"]
 
 
-def test_a_recording_without_a_value_is_tracked_and_unwrapped_phases_with_a_notice(tmp_path):
+def test_a_recording_without_a_value_is_tracked(tmp_path):
     write_good(tmp_path / "empty")
     good_tables()["phases"].with_columns(pl.col("^phase_.*$") * None).write_csv(tmp_path / "empty" / "phases.csv")
     said = trackwright("track", tmp_path / "empty", "--tracker", "das", "--out", tmp_path / "none")
@@ -239,13 +236,6 @@ def test_a_recording_without_a_value_is_tracked_and_unwrapped_phases_with_a_noti
     assert "4 tracks: 4 too little data" in said.out
     assert "notice: not evaluated: " in said.err
     assert _tracks(tmp_path / "none")["azimuth_rad"].null_count() == 200
-    ANOMALOUS["phases from 0 to 2 pi"](tmp_path / "unwrapped")
-    write_good(tmp_path / "plain")
-    for name in ("unwrapped", "plain"):
-        said = trackwright("track", tmp_path / name, "--tracker", "das", *PLAIN, "--out", tmp_path / f"{name}-out")
-        assert ("not wrapped" in said.err) == (name == "unwrapped")
-    unwrapped, plain = (_tracks(tmp_path / f"{name}-out") for name in ("unwrapped", "plain"))
-    assert unwrapped["azimuth_rad"].equals(plain["azimuth_rad"])
 
 
 @pytest.mark.parametrize("tracker", ["uwb", "multilateration"])

@@ -56,20 +56,6 @@ def test_values_that_serve_every_recording_are_called_better(tmp_path):
     assert "Verdict: better. Mean log density of the true position, recordings tuned on" in said.out
 
 
-@pytest.mark.slow
-def test_one_recording_is_judged_by_blocks_of_time_and_the_table_says_so(tmp_path):
-    # A fitted latency moves estimates over the ends of blocks.
-    late = ("--tune", "sensors.fixes.latency")
-    said = trackwright("tune", random_walk(tmp_path / "one", 4, 0.3), *FIT, *late, "--out", tmp_path / "fit")
-    assert said.code == 0, said.err
-    written = tomllib.loads((tmp_path / "fit" / "tuned.toml").read_text())
-    assert written["verdict"] == "better"
-    by = "recording tuned on, each of 4 blocks of time with values fitted without its truth"
-    assert written["judged_by"] == by
-    assert by in " ".join(said.out.split())
-    assert by in " ".join((tmp_path / "fit" / "report.html").read_text("utf-8").split())
-
-
 def test_without_truth_nothing_is_judged(tmp_path):
     blind = [random_walk(tmp_path / f"blind-{k}", k, 0.3, truth=False) for k in (1, 2)]
     said = trackwright("tune", *blind, *FIT, "--figures", "none", "--out", tmp_path / "fit")
@@ -79,15 +65,6 @@ def test_without_truth_nothing_is_judged(tmp_path):
     assert "log_density" not in written
     assert math.isnan(written["recordings"]["blind-1"]["rmse_m"][0])
     assert "Verdict: not judged. No estimate has both a covariance and a truth." in said.out
-
-
-def test_a_fit_that_ended_early_is_written_and_says_so(tmp_path):
-    still = [random_walk(tmp_path / f"still-{k}", k, 0.0) for k in (3, 4, 5)]
-    how = ("--objective", "state-nll+0.1*rmse", "--steps", 1, "--figures", "none")
-    said = trackwright("tune", *still, *FIT, *how, "--out", tmp_path / "early")
-    assert said.code == 0, said.err
-    assert (tmp_path / "early" / "tuned.toml").exists()
-    assert "notice: the fit took all its steps before it came to rest" in said.out
 
 
 def test_a_fit_that_ran_away_with_all_recordings_gives_no_numbers(tmp_path, simulated, monkeypatch):

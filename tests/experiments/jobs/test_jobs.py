@@ -8,14 +8,13 @@ import subprocess
 import sys
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
-from threading import Event
 
 import pytest
 
 from tests.experiments.monte_carlo.small_study import TOML
 from tests.in_process import assert_refused, trackwright
 from trackwright.experiments.jobs.executors import Threads, WorkerExecutor, cluster_executor, environment
-from trackwright.experiments.jobs.store import Store, finished, run
+from trackwright.experiments.jobs.store import Store, run
 from trackwright.trackers.core.errors import UnusableInput
 
 
@@ -33,7 +32,7 @@ class Numbers(Store):
 
 
 class KilledWorker(Exception):  # noqa: N818 - the name in Dask
-    """That of Dask."""
+    pass
 
 
 class Deadly(WorkerExecutor):
@@ -98,24 +97,6 @@ def test_ctrl_c_ends_a_wait_for_a_part_that_never_ends():
             assert b"KeyboardInterrupt" in waiting.communicate(timeout=20)[1]
         finally:
             waiting.kill()
-
-
-def test_parts_that_have_not_begun_are_cancelled_where_one_fails():
-    release, run = Event(), []
-
-    def part(item):
-        if item == 0:
-            raise UnusableInput("the first part")
-        release.wait(10)
-        run.append(item)
-
-    with ThreadPoolExecutor(1) as threads:
-        parts = finished(lambda item: threads.submit(part, item), range(5), at_once=5)
-        with pytest.raises(UnusableInput, match="the first part"):
-            _ = [future.result() for _, future in parts]
-        parts.close()
-        release.set()
-    assert len(run) <= 1
 
 
 @pytest.mark.parametrize(

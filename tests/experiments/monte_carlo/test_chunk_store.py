@@ -13,7 +13,7 @@ from tests.experiments.monte_carlo.small_study import SMALL, TOML, sha
 from trackwright.experiments.jobs.executors import WorkerExecutor, cluster_executor, environment
 from trackwright.experiments.monte_carlo.chunk import run_chunk
 from trackwright.experiments.monte_carlo.runner import ChunkStore, packed, packed_chunk, run_study
-from trackwright.experiments.monte_carlo.sources import available_studies, load_study
+from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.trackers.core.errors import UnusableInput
 
 
@@ -101,13 +101,6 @@ def elsewhere():
     """An executor that pickles calls and checks its environment as workers do, in a thread of this process."""
     with ThreadPoolExecutor(1) as threads:
         yield WorkerExecutor(threads, environment())
-
-
-@pytest.mark.parametrize("name", available_studies())
-def test_every_name_on_the_list_is_a_study_with_expected_results(name):
-    study = load_study(name)
-    assert study.name == name
-    assert study.expected is not None
 
 
 def test_a_study_on_workers_is_the_declared_one_with_the_bits_of_threads(studies, elsewhere, tmp_path):

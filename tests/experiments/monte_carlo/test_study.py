@@ -3,11 +3,10 @@ import polars as pl
 import pytest
 
 from tests.experiments.monte_carlo.small_study import SMALL, TOML
-from trackwright.experiments.monte_carlo import chunk as one_chunk
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import run_study
 from trackwright.experiments.monte_carlo.sources import load_study
-from trackwright.experiments.monte_carlo.tracked import BINS, TrackedRuns, _histograms, scored
+from trackwright.experiments.monte_carlo.tracked import TrackedRuns, _histograms, scored
 from trackwright.experiments.pages.study import to_text
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
@@ -86,26 +85,6 @@ def test_of_directions_in_the_plane_of_an_array_the_angle_alone_is_judged():
         np.testing.assert_allclose(kept[f"sum bias {angle}"], np.where(judged, errors[..., k], 0.0).sum(axis=1))
 
 
-def test_chunks_are_added_to_the_blocks_of_their_trajectories_in_order():
-    rng, runs = np.random.default_rng(8), 1300
-    chunks = [rng.lognormal(size=(700, 6)) for _ in range(2)]
-    totals = Totals(runs)
-    sums, largest, histogram = np.zeros((512, 3)), np.full(512, np.nan), np.zeros((512, BINS))
-    names = ("n m", "sum m", "squares m")
-    for start, sizes in zip((0, 700), chunks, strict=True):
-        kept = _accumulated(sizes, True)
-        totals.add(start, kept)
-        dense = np.bincount(kept["cells m"], kept["counts m"], 700 * BINS).reshape(700, BINS)
-        for k in range(min(700, runs - start)):
-            block = (start + k) % 512
-            sums[block] += [kept[f"sum {name}"][k] for name in names]
-            largest[block] = np.fmax(largest[block], kept["largest m"][k])
-            histogram[block] += dense[k]
-    np.testing.assert_array_equal(np.stack([totals.sums[name] for name in names], axis=-1), sums)
-    np.testing.assert_array_equal(totals.largest["m"], largest)
-    np.testing.assert_array_equal(totals.histograms["m"], histogram)
-
-
 def _accumulated(sizes, histogram):
     """Accumulators of errors (n, T)."""
     n = np.full(len(sizes), float(sizes.shape[1]))
@@ -166,31 +145,16 @@ def test_every_condition_and_tracker_has_its_metrics(whole):
     )
 
 
-@pytest.mark.parametrize("planar", [False, True])
-def test_the_bound_is_the_root_mean_square_of_the_later_half_of_the_rows_in_plane_and_in_space(monkeypatch, planar):
-    sigmas = np.random.default_rng(2).uniform(0.1, 1.0, (7, 3))
-    if planar:
-        sigmas[:, 2] = np.nan
-    monkeypatch.setattr(one_chunk, "bounds_of", lambda folder, batches: (np.arange(7.0), sigmas))
-    expected = [np.sqrt(np.mean(np.sum(sigmas[3:, :d] ** 2, axis=1))) for d in (2, 3)]
-    np.testing.assert_allclose(one_chunk._bounds(None, []), expected, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (("fix-kf", "fix-kg"), "fix-kg"),
         (('metrics = ["rmse_m"]', 'metrics = ["rmse_m"]\n[grid]\n"world.rate_hz" = []'), "is empty"),
         (("[trackers.fix-kf]", "[trackers.fix-kf]\ntunables = {'motion.sigma_a' = -1.0}"), "found -1.0"),
-        (("runs = 12", "runs = 0"), "runs = 0"),
         (('metrics = ["rmse_m"', 'metrics = ["rmse"'), "no metric 'rmse' (did you mean rmse_m?); names: "),
         (('metrics = ["rmse_m"', 'metrics = [5, "rmse_m"'), "no metric 5; names: "),
         (("rate_hz = 1.0", "rate = 1.0"), "parameter 'rate' is unknown; expected one of situation, speed, rate_hz"),
-        (("rate_hz = 1.0", "seed = 1"), "parameter 'seed' is unknown; expected one of situation, speed, rate_hz"),
         (("rate_hz = 1.0", "rate_hz = 0.0"), "rate_hz = 0.0: expected a number from 0.1 to 1000"),
-        (("[worlds.line]", "[worlds.lime]"), "lime"),
-        (("runs = 12", "walks = 12"), "walks"),
-        (("runs = 12", "runs = "), "TOML"),
         (("[worlds.line]", "[grid]\n'motion.sigma_q' = [1.0]\n[worlds.line]"), "motion.sigma_q"),
     ],
 )

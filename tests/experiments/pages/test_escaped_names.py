@@ -54,9 +54,13 @@ def _check_pages(folder: Path, least: int) -> None:
 
 
 def test_pages_of_tracks_escape_every_name(marked, tmp_path):
-    said = trackwright("track", marked, "--tracker", "fix-kf,median", "--out", tmp_path / "out")
-    assert said.code == 0, said
-    _check_pages(tmp_path / "out", 2)
+    for tracker in ("fix-kf", "median"):
+        said = trackwright("track", marked, "--tracker", tracker, "--out", tmp_path / "out" / tracker)
+        assert said.code == 0, said
+        _check_pages(tmp_path / "out" / tracker, 1)
+    runs = (tmp_path / "out" / tracker for tracker in ("fix-kf", "median"))
+    assert trackwright("evaluate", *runs, "--out", tmp_path / "compared").code == 0
+    _check_pages(tmp_path / "compared", 1)
 
 
 @pytest.mark.slow
