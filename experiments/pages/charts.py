@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,11 +12,9 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.pages.chart import (
-    BLUE,
     GREY,
     LINES,
     TRUTH,
-    VERMILION,
     Chart,
     Line,
     band,
@@ -54,9 +52,6 @@ ELLIPSES, LARGE = 24, 3.0
 WINDOW, WINDOWS = 20, 120
 """The fewest rows of a mean of NEES or NIS over time, and the most means."""
 
-LEAST = 5
-"""The fewest readings of a box."""
-
 WIDE: dict[str, Any] = {"width": 8.0, "height": 2.6}
 
 
@@ -75,17 +70,15 @@ def floor_plan(scored: ScoredRecording, tags: Sequence[str] = ()) -> Chart:
     shown = dict.fromkeys(tags[: len(LINES)], "") or {names[order[k]]: why for k, why in chosen.items()}
     parts, truths, around, drawn = list[Line](), list[Line](), [np.zeros((0, 2))], [np.zeros((0, 2))]
     for (tag, remark), colour in zip(shown.items(), LINES, strict=False):
-        rows = scored.rows_of(track := track_number(scored, tag))
+        rows = scored.rows_of(track_number(scored, tag))
         places, table = scored.columns("x_m", "y_m")[rows], scored.rows[rows]
         there = np.isfinite(places).all(axis=1)
         _, whole = broken_at_gaps(scored.times[rows][there], places[there])
         centres, covs = _some_covariances(places, table, min(ELLIPSES // len(shown), ELLIPSES // 2))
         name = (f"tag {tag}" if tag else "estimates") + (f": {remark}" if remark else "")
         parts += [path(whole, name, colour, 1.1), path(ellipses(centres, covs), "", colour, 0.8)]
-        for row, marker, word in ((0, "circle-open", "start"), (-1, "square-open", "end")) if there.sum() > 1 else ():
-            word = word if len(drawn) == len(shown) else ""
-            parts.append(path(places[there][[row]], word, colour, 0.0, marker=marker, size=8))
-        true = true_path(scored, track)
+        true, known = scored.columns("true_x_m", "true_y_m")[rows], scored.miss[rows] >= 0
+        _, true = broken_at_gaps(scored.times[rows][known], true[known])
         truths += [path(true, "" if truths else "truth", TRUTH, 3.0)] if len(true) else []
         drawn.append(places[there])
         around += [true, np.quantile(places[there], (0.01, 0.99), axis=0, method="nearest") if there.any() else true]
@@ -140,15 +133,6 @@ def ellipses(centres: np.ndarray, covs: np.ndarray) -> np.ndarray:
     turn = np.append(np.linspace(0, 2 * np.pi, 37), np.nan)
     half_axes = vectors * np.sqrt(chi_square_quantile(0.95, 2) * np.maximum(squares, 0))[:, None, :]
     return (np.swapaxes(half_axes @ np.stack([np.cos(turn), np.sin(turn)]), 1, 2) + centres[:, None]).reshape(-1, 2)
-
-
-def true_path(scored: ScoredRecording, track: int) -> np.ndarray:
-    """The true path (n, 2), m, of a track, NaN in gaps: of the truth table, else at its rows; none without truth."""
-    rows, paths = scored.rows_of(track), scored.folder.paths
-    tag, true = str(scored.rows["tag"][rows.start]), scored.columns("true_x_m", "true_y_m")[rows]
-    known = np.isfinite(true).all(axis=1)
-    times, places = paths.of_tag(tag) if tag in paths.number else (scored.times[rows][known], true[known])
-    return broken_at_gaps(times, places[:, :2])[1]
 
 
 def track_number(scored: ScoredRecording, tag: str | None) -> int:
@@ -291,7 +275,7 @@ def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]
 
 
 class Residuals(NamedTuple):
-    """The residuals (n,) of one column of readings about the estimated and the true positions, NaN where unknown.
+    """The residuals (n,) of one column of readings about the estimates or, of bearings, about the truth.
 
     `source`, `tag` (n,): numbers of the anchor or station among `sources`, and of the tag among the recording's.
     `times` (n,): s.
@@ -303,12 +287,11 @@ class Residuals(NamedTuple):
     source: np.ndarray
     tag: np.ndarray
     times: np.ndarray
-    estimated: np.ndarray
-    true: np.ndarray
+    values: np.ndarray
 
 
 def residuals(recording: ScoredRecording) -> tuple[list[str], list[Residuals]]:
-    """The tags of the readings, and the residuals of each column; none about estimates that are bearings."""
+    """The tags of the readings, and the residuals of each column that has any."""
     folder, tags, found = recording.folder, list[str](), list[Residuals]()
     for table, kind in KINDS.items():
         if table not in folder.tables or not kind.averaged:
@@ -318,22 +301,19 @@ def residuals(recording: ScoredRecording) -> tuple[list[str], list[Residuals]]:
         tag = rows.of_each(np.array([tags.index(tag) for tag in rows.tags]))
         measured = kind.measured(folder.rig, rows).usable
         measured = measured._replace(values=_without_systematic_errors(folder, measured, rows))
-        sources = list(measured.ids) or [kind.name]
         source = measured.sensors.number[:, 0] if kind.sensors else np.zeros(len(rows.times), int)
-        true, _ = folder.paths.at(rows.tags, rows.starts, rows.times)
-        numbers = measured.errors(_estimated(recording, rows)), measured.errors(true)
-        for column, *parts in zip(measured.columns, *(kind.shown[1] * of.T for of in numbers), strict=True):
-            if np.isfinite(parts).any():
-                name = "fix, " * kind.position + column.rpartition("_")[0].replace("_", " ")
-                found.append(Residuals(name, kind.shown[0].strip(), sources, source, tag, rows.times, *parts))
+        at = folder.paths.at(rows.tags, rows.starts, rows.times)[0] if recording.angles else _estimated(recording, rows)
+        for column, values in zip(measured.columns, kind.shown[1] * measured.errors(at).T, strict=True):
+            if np.isfinite(values).any():
+                name, unit = column.rpartition("_")[0].replace("_", " "), kind.shown[0].strip()
+                of = list(measured.ids) or [kind.name], source, tag, rows.times, values
+                found.append(Residuals("fix, " * kind.position + name, unit, *of))
     return tags, found
 
 
 def _estimated(recording: ScoredRecording, rows: TagRows) -> np.ndarray:
     """The estimated positions (N, 3), m, at the times of the readings, between rows of estimates; else NaN."""
     estimated = np.full((len(rows.times), 3), np.nan)
-    if recording.angles:
-        return estimated
     of_tags = {tag: k for k, tag in enumerate(recording.first["tag"])}
     positions = recording.columns("x_m", "y_m", "z_m")
     for k, tag in ((k, tag) for k, tag in enumerate(rows.tags) if tag in of_tags):
@@ -357,32 +337,3 @@ def _without_systematic_errors(folder: RecordingFolder, measured: Measured, rows
         return known.of_differences(measured.ids, number, values[:, 0])[0][:, None]
     tag = rows.of_each(np.arange(len(rows.tags)))
     return known.of_ranges(measured.ids, number[:, 0], rows.tags, tag, values[:, 0])[0][:, None]
-
-
-def residual_charts(found: Sequence[Residuals]) -> Iterator[Chart]:
-    """Of each column the residuals by anchor or station, as boxes: quartiles, median, and strokes from 5 to 95 %."""
-    for one in found:
-        own, parts = [one.source == k for k in range(len(one.sources))], list[Line]()
-        for values, name, colour, shift in (
-            (one.estimated, "about the estimates", BLUE, -0.18),
-            (one.true, "about the truth", VERMILION, 0.18),
-        ):
-            known = {k + shift: of for k, rows in enumerate(own) if len(of := _finite(values[rows])) >= LEAST}
-            if known:
-                q = np.transpose([np.quantile(of, (0.05, 0.25, 0.5, 0.75, 0.95)) for of in known.values()])
-                x, none = np.array([*known]), np.full(len(known), np.nan)
-                parts.append(
-                    Line(np.stack([x, x, none], 1).ravel(), np.stack([*q[[0, 4]], none], 1).ravel(), "", colour)
-                )
-                sides = np.stack([x - 0.13, x + 0.13, x + 0.13, x - 0.13, none], 1).ravel()
-                ends = np.stack([*q[[1, 1, 3, 3]], none], 1).ravel()
-                parts.append(Line(sides, ends, name, colour, opacity=0.45, filled=True))
-                parts.append(Line(x, q[2], "", colour, 0.0, marker="circle"))
-        by = f" by {'anchor' if one.name == 'range' else 'station'}" * (len(own) > 1)
-        ticks, note = dict(enumerate(one.sources)), "Boxes: median and half of the readings; lines: 90 %."
-        title, label = f"Residuals, {one.name}{by}", f"measured − predicted ({one.unit})"
-        yield Chart(f"residuals-{one.name}", title, "", label, parts, (-0.6, len(own) - 0.4), xticks=ticks, note=note)
-
-
-def _finite(values: np.ndarray) -> np.ndarray:
-    return values[np.isfinite(values)]

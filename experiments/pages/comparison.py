@@ -119,7 +119,7 @@ def comparison(runs: Sequence[Run]) -> tuple[list[Section], list[Contrast]]:
     found = [one for run in others for one in _paired(first, run)]
     adjusted = holm([one.p for one in found])
     contrasts = [one._replace(p=p) for one, p in zip(found, adjusted, strict=True)]
-    sizes = [of["rmse_m"] for run in runs if "rmse_m" in (of := run.metrics.get("", {}))]
+    sizes = [size for run in runs if (size := run.metrics.get("", {}).get("rmse_m")) is not None]
     unit = SHOWN["rad"] if first.kind == "bearing" else length_unit(min(sizes, default=math.nan))
     table = _table_of_tracks(runs, unit)
     return [table, *([difference_table(first.name, contrasts, unit)] if contrasts else [])], contrasts

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.pages.chart import numbers
-from trackwright.experiments.pages.charts import coverage, error_cdf, residual_charts, residuals
+from trackwright.experiments.pages.charts import coverage, error_cdf, residuals
 from trackwright.experiments.pages.report import page, write_page
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks
 from trackwright.experiments.text.tables import Section
@@ -148,16 +148,15 @@ def recording_data(
     tags, found = residuals(recording)
     every = max(1, -(-sum(len(one.times) for one in found) // most_points))
     channels = [
-        {"name": one.name, "unit": one.unit, "sources": one.sources, "points": _packed({
-            "t": one.times - start, "tag": one.tag, "source": one.source,
-            "value": one.estimated if np.isfinite(one.estimated).any() else one.true}, every)}
+        {"name": one.name, "unit": one.unit, "sources": one.sources, "points": _packed(
+            {"t": one.times - start, "tag": one.tag, "source": one.source, "value": one.values}, every)}
         for one in found
     ]  # fmt: skip
     axes = [
         {"name": c.name, "unit": c.unit, "value": f"v{k}", "error": f"e{k}", "sigma": f"s{k}"}
         for k, c in enumerate(recording.components())
     ]
-    charts = [*residual_charts(found), *([error_cdf(recording)] if np.isfinite(recording.miss).any() else [])]
+    charts = [error_cdf(recording)] if np.isfinite(recording.miss).any() else []
     charts += [coverage(recording)] if np.isfinite(float_column(recording.rows, "nees")).any() else []
     return {
         "name": folder.name, "start": start - recording.zero, "end": end - recording.zero,
@@ -186,12 +185,12 @@ def drawn_rows(lengths: np.ndarray, weight: np.ndarray, most: int) -> np.ndarray
     if n <= most:
         return np.arange(n)
     size = -(-2 * n // max(most - 2 * len(lengths), 2))
-    first = np.cumsum(lengths) - lengths
-    within = np.arange(n) - np.repeat(first, lengths)
-    begins = np.flatnonzero(within % size == 0)
-    block = np.repeat(np.arange(len(begins)), np.diff(np.append(begins, n)))
-    order = np.lexsort((-np.nan_to_num(weight), block))
-    return np.unique(np.concatenate([begins, order[begins], first + lengths - 1]))
+    track, ends = np.repeat(np.arange(len(lengths)), lengths), np.cumsum(lengths)
+    block = (np.arange(n) - (ends - lengths)[track]) // size
+    rows = pl.DataFrame({"row": np.arange(n), "track": track, "block": block, "weight": np.nan_to_num(weight)})
+    row = pl.col("row")
+    kept = rows.group_by("track", "block").agg(first=row.first(), peak=row.get(pl.col("weight").arg_max()))
+    return np.unique(np.concatenate([kept["first"], kept["peak"], ends - 1]))
 
 
 def packed(values: np.ndarray, kind: str = "f4") -> dict[str, str]:

@@ -8,7 +8,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import polars as pl
 from rich import box
@@ -20,10 +20,6 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics
 from trackwright.trackers.evaluation.metrics import METRICS, Metric
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
-
-if TYPE_CHECKING:
-    from trackwright.trackers.exchange.estimates import ComparedTrack
-    from trackwright.trackers.exchange.pose_errors import Statistics, TrajectoryErrors
 
 UNLIMITED = 100_000
 """Characters a line where a table is not to be wrapped."""
@@ -219,44 +215,33 @@ def title_of(column: Metric) -> str:
     return f"{column.short}\ns" if column.unit == "s" else column.short
 
 
-def pose_errors_text(compared: Sequence[ComparedTrack], align: str, width: int, fitted_offset: bool = False) -> str:
+def pose_errors_text(compared: Sequence[Any], align: str, width: int, fitted_offset: bool = False) -> str:
     """The errors of each track, a row for each kind of error, and what was done to the estimates before.
 
-    `fitted_offset`: whether the time offset is the one that fits best.
+    `compared`: of each track, what `to_dict` gives. `fitted_offset`: whether the time offset is the one that fits best.
     """
-    worst = sorted(compared, key=lambda track: -track.errors.ape_m["rmse"])[:SHOWN_TRACKS]
-    unit, rows = length_unit(worst[0].errors.ape_m["rmse"]), []
-    for track in worst:
-        for label, name, factor, of in _rows(track.errors, unit.name, unit.factor):
-            digits = unit.digits + 1 if name == unit.name else 3
-            numbers = (fixed(of[k] * factor, digits) for k in _STATISTICS)
-            rows.append([track.tag, label, name, str(of["n"]), *numbers])
+    tracks, rows = sorted((one.to_dict() for one in compared), key=lambda of: -of["ape_m"]["rmse"]), []
+    unit = length_unit(tracks[0]["ape_m"]["rmse"])
+    for of in tracks[:SHOWN_TRACKS]:
+        steps = [(f"RPE {step}", found, of["rpe_rad"].get(step)) for step, found in of["rpe_m"].items()]
+        for label, lengths, angles in (("APE", of["ape_m"], of["ape_rad"]), *steps):
+            for name, found, (shown, factor), digits in (
+                (label, lengths, unit, unit.digits + 1),
+                (f"{label}, angle", angles, Unit("deg", 180 / math.pi), 3),
+            ):
+                if found is not None:
+                    numbers = (fixed(found[k] * factor, digits) for k in _STATISTICS)
+                    rows.append([of["tag"], name, shown, str(found["n"]), *numbers])
     table = Section("Absolute and relative pose errors", ["tag", "error", "unit", "n", *_STATISTICS], rows, 2).table()
-    errors = [track.errors for track in compared]
-    offsets, scales = sorted({round(e.time_offset, 4) for e in errors}), [e.similarity.scale for e in errors]
-    offset = " to ".join(f"{x:.12g}" for x in dict.fromkeys((offsets[0], offsets[-1])))
-    scale = " to ".join(dict.fromkeys((f"{min(scales):.6g}", f"{max(scales):.6g}")))
-    scale = "" if scale == "1" else f", scale {scale}"
-    notes = {
-        f"As evo: {sum(e.pairs for e in errors)} of {sum(e.possible for e in errors)} poses have a true pose within "
-        f"{errors[0].tolerance:g} s; time offset {offset} s; alignment {align}{scale}.": True,
-        "The errors in the first table are of all rows, at the time of each, by the truth interpolated there.": True,
-        "The fitted time offset holds the delay of a filter, too; only a smoothed track (`track --smooth`) shows the "
-        "clocks' alone.": fitted_offset,
-        "APE and RPE are horizontal: a height is unknown.": any(e.planar for e in errors),
-        f"At most {SHOWN_TRACKS} tracks are listed, those with the largest APE.": len(compared) > SHOWN_TRACKS,
-    }
-    return rendered(width, table, *(note for note, holds in notes.items() if holds))
-
-
-def _rows(errors: TrajectoryErrors, unit: str, factor: float) -> Iterator[tuple[str, str, float, Statistics]]:
-    """Of each error: its name, its unit, the factor to it, and its statistics."""
-    yield "APE", unit, factor, errors.ape_m
-    if errors.ape_rad is not None:
-        yield "APE, angle", "deg", 180 / math.pi, errors.ape_rad
-    for step, statistics in errors.rpe_m.items():
-        yield f"RPE {step}", unit, factor, statistics
-        if step in errors.rpe_rad:
-            yield f"RPE {step}, angle", "deg", 180 / math.pi, errors.rpe_rad[step]
-    if errors.speed_mps is not None:
-        yield "speed", "m/s", 1.0, errors.speed_mps
+    pairs, possible = (sum(of[key] for of in tracks) for key in ("pairs", "possible"))
+    offsets = {f"{round(of['time_offset_s'], 4):.12g}" for of in tracks}
+    scales = {f"{of['alignment']['scale']:.6g}" for of in tracks}
+    scale = "" if scales == {"1"} else f", scale {' to '.join(sorted(scales))}"
+    notes = (
+        f"As evo: {pairs} of {possible} poses have a true pose within {tracks[0]['time_tolerance_s']:g} s; time offset "
+        f"{' to '.join(sorted(offsets))} s; alignment {align}{scale}.",
+        "The fitted time offset holds the delay of a filter, too." if fitted_offset else "",
+        "APE and RPE are horizontal: a height is unknown." if any(of["planar"] for of in tracks) else "",
+        f"The {SHOWN_TRACKS} tracks with the largest APE are listed." if len(tracks) > SHOWN_TRACKS else "",
+    )
+    return rendered(width, table, *filter(None, notes))

@@ -12,11 +12,7 @@ from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.metrics import ERROR_KINDS, METRICS
 
 MISSING = "–"
-STUDIES = {
-    "bound_m": "Cramér–Rao bound",
-    "bound_3d_m": "Cramér–Rao bound in 3-D",
-    "us_per_row": "computing time per row",
-}
+STUDIES = {"bound_m": "Cramér–Rao bound", "bound_3d_m": "Cramér–Rao bound in 3-D", "us_per_row": "time per row"}
 """The metrics of a study that are no metrics of scores."""
 
 SUFFIXES = {**ERROR_KINDS, "m": "", "rad": "", "m2": "", "s": "", "share": ""}

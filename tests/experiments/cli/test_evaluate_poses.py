@@ -53,7 +53,7 @@ def test_a_file_is_aligned_shifted_in_time_and_scored_with_all_figures(beginning
     assert not any(name.endswith(".png") for name in written)
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert "<title>good · trackwright evaluate</title>" in page
-    assert "<span>trackwright · evaluate</span>" in page
+    assert "trackwright · evaluate</p>" in page
 
 
 def test_the_json_of_two_files_has_the_numbers_of_evo(there):
