@@ -117,7 +117,7 @@ def print_comparison(
 
         written += write_charts(out, charts, kind, f"{path.stem}-")
     if page:
-        written.insert(0, write_comparison(path, [run.name for run in runs], tables, charts, sys.argv, playback).name)
+        written.insert(0, write_comparison(path, [*runs], tables, charts, sys.argv, playback).name)
     if written and not json:
         print(f"wrote {', '.join([str(out / written[0]), *written[1:]])}")
 

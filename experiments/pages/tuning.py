@@ -14,7 +14,7 @@ import polars as pl
 from markupsafe import Markup
 
 from trackwright.experiments.pages.chart import BLUE, LINES, PALE, VERMILION, Chart, Line, band, is_logarithmic, write
-from trackwright.experiments.pages.comparison import Run, comparison
+from trackwright.experiments.pages.comparison import comparison
 from trackwright.experiments.pages.report import report_page
 from trackwright.experiments.text.tables import Section, sections_text
 from trackwright.experiments.text.wording import MISSING, duration, number, yes_no
@@ -144,19 +144,14 @@ def compare(
     verdict. A recording without truth has no figures but those of its innovations.
     """
     sides = [side.filter(pl.col("recording").is_in([folder.name for folder in folders])) for side in sides]
-    found, runs = [Evaluation.of(side) for side in sides], []
-    for name, side, of in zip(("before", "after"), sides, found, strict=True):
-        metrics = {"": of.overall} | {metrics["recording"]: metrics for metrics in of.recordings}
-        scored = side if side["why"].is_null().any() else None
-        runs.append(Run(name, metrics, "bearing" if of.bearing else "position", scored))
-    before, after = found
+    before, after = (Evaluation.of(side) for side in sides)
     suffix = "_3d" if dimensions == 3 and before.overall.get("coverage_95_3d") is not None else ""
     verdict = Verdict(None, {}, why_not) if why_not else judge(sides, 3 if suffix else 2)
     error = "rmse_direction_rad" if before.bearing else f"rmse{suffix}_m"
     keys = [error, f"coverage_95{suffix}", f"nees{suffix}_ratio", f"regret{suffix}", "nis_ratio"]
     pairs = zip(before.recordings, after.recordings, strict=True)
     metrics = {old["recording"]: {key: (old[key], new[key]) for key in keys} for old, new in pairs}
-    first, *differences = comparison(runs)[0]
+    first, *differences = comparison(dict(zip(("before", "after"), sides, strict=True)))[0]
     title = f"{about[0].upper()}{about[1:]}: {first.title[0].lower()}{first.title[1:]}"
     statements = covariance_statements(after.overall, after.recordings)
     return Compared(about, [first._replace(title=title), *differences], statements, verdict, metrics)

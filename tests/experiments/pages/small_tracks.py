@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.pages.comparison import Run
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.evaluation.rows import scored_rows
@@ -86,10 +85,10 @@ def small_bearings(in_plane: bool, rows: int = 60) -> tuple[ScoredTracks, np.nda
     )
 
 
-def small_run(name: str, shifts: dict[str, float]) -> Run:
-    """A run whose error in x, m, is that of each recording."""
+def small_run(shifts: dict[str, float]) -> pl.DataFrame:
+    """The scored rows of a run whose error in x, m, is that of each recording."""
     times = 0.1 * np.arange(30)
     at = {"tag": "1", "t_s": times, "x_m": times, "y_m": times**2, "z_m": 1.0}
     spread = {"std_x_m": 0.1, "std_y_m": 0.1, "std_z_m": 0.0, "cov_xy_m2": 0.0, "nis": 1.0, "nis_dof": 1.0}
     tables = (pl.DataFrame({"recording": k} | at | spread).with_columns(pl.col("x_m") + s) for k, s in shifts.items())
-    return Run(name, {}, rows=scored_rows(pl.concat(tables), dict.fromkeys(shifts, pl.DataFrame(at))))
+    return scored_rows(pl.concat(tables), dict.fromkeys(shifts, pl.DataFrame(at)))

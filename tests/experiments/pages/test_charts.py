@@ -150,10 +150,10 @@ def test_the_bias_of_an_anchor_is_its_median_residual(scored):
 
 
 def test_the_tail_of_one_run_does_not_set_the_axis_of_errors():
-    good, bad = small_run("good", {"a": 0.2}), small_run("bad", {"a": 0.2})
-    last = pl.int_range(len(bad.rows)) == len(bad.rows) - 1
-    bad = replace(bad, rows=bad.rows.with_columns(size_m=pl.when(last).then(50.0).otherwise("size_m")))
-    for runs in ([good, bad], [bad, good]):
+    good = small_run({"a": 0.2})
+    last = pl.int_range(pl.len()) == pl.len() - 1
+    bad = good.with_columns(size_m=pl.when(last).then(50.0).otherwise("size_m"))
+    for runs in ({"good": good, "bad": bad}, {"bad": bad, "good": good}):
         errors, _ = comparison_charts(runs)
         assert errors.xlim[1] < 25  # cm
         assert sorted(part.name.partition(" cm")[2] for part in errors.parts) == ["", ", 3.3 % beyond"]

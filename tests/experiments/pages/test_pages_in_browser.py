@@ -153,7 +153,7 @@ def test_a_notebook_shows_the_page_in_a_frame(browser):
 @pytest.mark.parametrize("kind", ["track", "comparison"])
 def test_a_page_fits_its_window_in_both_themes_and_no_chart_can_be_uploaded(browser, tmp_path, kind, width, scheme):
     path = tmp_path / "comparison.html"
-    charts = comparison_charts([small_run("uwb", {"a": 0.2}), small_run("median", {"a": 0.5})])
+    charts = comparison_charts({"uwb": small_run({"a": 0.2}), "median": small_run({"a": 0.5})})
     path = _written(tmp_path, small_tracks()) if kind == "track" else write_comparison(path, ["a"], [], charts, ["b"])
     page, errors = _opened(browser, path, width, scheme)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
