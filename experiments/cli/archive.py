@@ -285,7 +285,7 @@ def _show(
     if tracking.options.figures == "none":
         return []
     rmse = [metrics["rmse_direction_rad" if evaluation.bearing else "rmse_m"] for metrics in evaluation.recordings]
-    chosen = [of[k][0] for k in drawn_of(np.array(rmse, float), evaluation.bearing)]
+    chosen = [of[k][0] for k in drawn_of(np.array(rmse, float))]
     folders = [ready(tracking.read(path), tracking.options.used, tracking.calibration)[0] for path in chosen]
     named = tracking.named(of[0][1]["tracker"], folders)
     found, _ = runs.tracked(named, folders, tracking.options, run.begin)

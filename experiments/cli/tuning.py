@@ -165,7 +165,7 @@ def _write_run(fitted: Fitted, recordings: Sequence[Path], run: Run, compared: p
         written.insert(0, "report.html")
         page = pages.tuning_page(
             result, data, objective, compared, intervals, issues, tracker=name, cautions=lines,
-            notes=[*_notes(data, result)], seconds=run.seconds, commands=(use, typed(sys.argv)),
+            notes=[*_notes(data, result)], commands=(use, typed(sys.argv)),
         )  # fmt: skip
         write_page(out / "report.html", page)
     about = config(options, "resume", "check")

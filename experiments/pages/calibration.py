@@ -131,8 +131,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         rows[source.table].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
     several = calibration.tags if len(calibration.tags) > 1 else {}
     rows["tags"] = [[name, _term(tag.bias, tag.sigma, True), str(tag.rows)] for name, tag in several.items()]
-    looks = {"calibrated": "after"}
-    tables = {name: one._replace(rows=rows[name], looks=looks) for name, one in SECTIONS.items() if rows[name]}
+    tables = {name: one._replace(rows=rows[name]) for name, one in SECTIONS.items() if rows[name]}
     return Report(tables, sources, NOTE)
 
 
@@ -195,7 +194,7 @@ def write_survey_page(out: Path, survey: Survey, command: Sequence[str]) -> Path
     found = path(ellipses(places, covs), "95 % ellipse", BLUE)
     around = np.concatenate([walk[:, :2] for walk in survey.paths])
     chart = plan("survey", "Anchors with 95 % ellipses over the walks", [*walks, found], around, survey.rig)
-    table = Section("Anchors", survey.head, survey.rows(), 1, survey.reading, {survey.head[-1]: "long"}, [[chart]])
+    table = Section("Anchors", survey.head, survey.rows(), 1, survey.reading, [[chart]])
     notes = [f"{note[0].upper()}{note[1:]}." for note in survey.notes]
     text = report_page("survey", f"Survey of {survey.rig.name}", notes, [table], [typed(command)])
     return write_page(out.with_suffix(".html"), text)

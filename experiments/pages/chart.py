@@ -115,16 +115,8 @@ class Chart:
 
 
 def numbers(values: ArrayLike) -> list[float | None]:
-    """The numbers with five significant digits, or those of their span where they lie far from zero; None for NaN."""
-    array = np.asarray(values, float)
-    known = array[np.isfinite(array)]
-    span = float(np.ptp(known)) if len(known) else 0.0
-
-    def short(x: float) -> float:
-        size = min(abs(x), span) or abs(x)
-        return round(x, 4 - math.floor(math.log10(size))) if size else 0.0
-
-    return [short(x) if math.isfinite(x) else None for x in array.tolist()]
+    """The numbers with nine significant digits, as of coordinates of maps; None for NaN."""
+    return [float(f"{x:.9g}") if math.isfinite(x) else None for x in np.asarray(values, float).tolist()]
 
 
 def band(

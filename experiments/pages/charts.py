@@ -66,16 +66,15 @@ def floor_plan(scored: ScoredRecording, tags: Sequence[str] = ()) -> Chart:
         raise UnusableInput("floor_plan: found bearings; expected estimates of positions")
     names = [str(tag) for tag in scored.first["tag"]]
     order = sorted(range(len(names)), key=lambda k: natural(names[k]))
-    chosen = drawn_of(scored.rmse[order], False, len(LINES))
-    shown = dict.fromkeys(tags[: len(LINES)], "") or {names[order[k]]: why for k, why in chosen.items()}
+    shown = tags[: len(LINES)] or [names[order[k]] for k in drawn_of(scored.rmse[order], len(LINES))]
     parts, truths, around, drawn = list[Line](), list[Line](), [np.zeros((0, 2))], [np.zeros((0, 2))]
-    for (tag, remark), colour in zip(shown.items(), LINES, strict=False):
+    for tag, colour in zip(shown, LINES, strict=False):
         rows = scored.rows_of(track_number(scored, tag))
         places, table = scored.columns("x_m", "y_m")[rows], scored.rows[rows]
         there = np.isfinite(places).all(axis=1)
         _, whole = broken_at_gaps(scored.times[rows][there], places[there])
         centres, covs = _some_covariances(places, table, min(ELLIPSES // len(shown), ELLIPSES // 2))
-        name = (f"tag {tag}" if tag else "estimates") + (f": {remark}" if remark else "")
+        name = f"tag {tag}" if tag else "estimates"
         parts += [path(whole, name, colour, 1.1), path(ellipses(centres, covs), "", colour, 0.8)]
         true, known = scored.columns("true_x_m", "true_y_m")[rows], scored.miss[rows] >= 0
         _, true = broken_at_gaps(scored.times[rows][known], true[known])
@@ -262,13 +261,13 @@ def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]
     together those of errors and coverage.
     """
     figures = list[Chart]()
-    for k, why in tracks.drawn.items():
+    for k in tracks.drawn:
         scored, name = tracks.recordings[k], tracks.folders[k].name
         charts = [] if scored.angles else [floor_plan(scored)]
         charts += [error_over_time(scored), nees_over_time(scored)] if np.isfinite(scored.miss).any() else []
         charts.append(nis_over_time(scored))
-        suffix, words = ("" if len(tracks.folders) == 1 else f"-{name}"), f", {name}" + f", {why}" * bool(why)
-        figures += [replace(one, name=one.name + suffix, title=one.title + words) for one in charts if one.parts]
+        suffix = "" if len(tracks.folders) == 1 else f"-{name}"
+        figures += [replace(one, name=one.name + suffix, title=f"{one.title}, {name}") for one in charts if one.parts]
     if tracks.rows["why"].is_null().any():
         figures += [error_cdf(tracks.rows), coverage(tracks.rows)]
     return write_charts(out, figures, kind)

@@ -29,7 +29,7 @@ HEIGHT = 900
 def _plot(chart: Callable[..., Chart], needs_truth: bool = True) -> Callable[..., Axes]:
     """The chart of estimates, or of several by name, and their recording, on the axes `ax` or new ones."""
 
-    def plot(estimates: Any, recording: AnyRecording | None = None, *more: Any, ax: Any = None, **named: Any) -> Axes:
+    def plot(estimates: Any, recording: AnyRecording, *more: Any, ax: Any = None, **named: Any) -> Axes:
         several, runs = isinstance(estimates, Mapping), {}
         for name, run in (estimates if several else {"": estimates}).items():
             runs[name] = scored_tracks(run, recording, needs_truth).recordings[0]

@@ -129,21 +129,19 @@ def metrics_section(results: Results) -> Section:
 def expected_sections(expected: Sequence[Claim]) -> list[Section]:
     """The printed numbers beside ours, and the conclusions."""
     rows = [
-        [r.quantity, f"{r.printed:g}\u00a0{r.unit}", with_interval(r.ours, Unit(r.unit, 1.0)),
-         ratio_text(r.ratio, r.compares_rest), r.origin, yes_no(r.reached), r.note]
+        [r.quantity, r.note, f"{r.printed:g}\u00a0{r.unit}", with_interval(r.ours, Unit(r.unit, 1.0)),
+         ratio_text(r.ratio, r.compares_rest), r.origin, yes_no(r.reached)]
         for r in expected if isinstance(r, ExpectedResult)
     ]  # fmt: skip
     note = (
         "Fitted: parameters or a choice were adjusted to the printed value; derived: it follows from other numbers and "
         "is not judged again; predicted: neither. Shares above one half are compared by the rest."
     )
-    head = ["result", "printed", "ours (95 % interval)", "ours / printed", "origin", "within tolerance", "remark"]
-    looks = {"ours (95 % interval)": "after", "within tolerance": "answer", "remark": "long"}
-    held = [[c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)]
-    answers = {"origin": "", "holds": "answer", "evidence": "long"}
+    head = ["result", "remark", "printed", "ours (95 % interval)", "ours / printed", "origin", "within tolerance"]
+    held = [[c.statement, c.evidence, c.origin, yes_no(c.holds)] for c in expected if isinstance(c, Conclusion)]
     return [
-        Section("Printed and reproduced results", head, rows, 1, note, looks),
-        Section("Conclusions", ["conclusion", *answers], held, 4, "", answers),
+        Section("Printed and reproduced results", head, rows, 2, note),
+        Section("Conclusions", ["conclusion", "evidence", "origin", "holds"], held, 2),
     ]
 
 

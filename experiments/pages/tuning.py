@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +15,7 @@ from trackwright.experiments.pages.chart import BLUE, LINES, PALE, VERMILION, Ch
 from trackwright.experiments.pages.comparison import comparison
 from trackwright.experiments.pages.report import report_page
 from trackwright.experiments.text.tables import Section, sections_text
-from trackwright.experiments.text.wording import MISSING, duration, number, yes_no
+from trackwright.experiments.text.wording import MISSING, number, yes_no
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.wording import counted
@@ -225,7 +223,7 @@ def objective_words(data: FitData, objective: str) -> str:
 def tuning_page(
     result: FitResult, data: FitData, objective: str, compared: Compared, intervals: Mapping[str, Interval],
     issues: Sequence[IdentifiabilityIssue], *, tracker: str, cautions: Sequence[str], notes: Sequence[str],
-    seconds: float, commands: Sequence[str],
+    commands: Sequence[str],
 ) -> str:  # fmt: skip
     """The page of a fit. `cautions`: clauses of the fit on itself. `notes`: sentences on irregularities of the run."""
     about, parameters = objective_words(data, objective), tuned_parameters(result, intervals, issues)
@@ -237,7 +235,6 @@ def tuning_page(
         "Objective": f"{about}, {number(result.start_value)} → {number(result.value)}",
         "Tuned on": listed(training, 12),
         "Held out": listed(held_out, 12) or "none",
-        "Effort": f"{result.filter_runs:,} filter runs in {duration(seconds)}".replace(",", "\u202f"),
     }
     sections = [
         Section("Settings", parts=[settings, *notes]),
@@ -247,8 +244,7 @@ def tuning_page(
         Section("Optimisation", parts=[[objective_chart(traces_of(result), about)]]),
     ]
     title = f"{tracker}, tuned on {counted(len(training), 'recording')}"
-    foot = f"trackwright {version('trackwright')} · created {datetime.now(UTC):%Y-%m-%d %H:%M UTC}"
-    return report_page("tuning report", title, [summary], sections, commands, foot, warnings)
+    return report_page("tuning report", title, [summary], sections, commands, warnings)
 
 
 def _parameters_section(parameters: Sequence[TunedParameter]) -> Section:
@@ -261,7 +257,7 @@ def _parameters_section(parameters: Sequence[TunedParameter]) -> Section:
         for p in parameters
     ]  # fmt: skip
     head = ["parameter", "before", "after", "unit", "95 % interval", "determined?"]
-    return Section("Tuned parameters", head, rows, 1, lead, {"after": "after", "determined?": "answer"})
+    return Section("Tuned parameters", head, rows, 1, lead)
 
 
 def advice(

@@ -6,7 +6,7 @@ import io
 import math
 import shutil
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,6 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 
 from trackwright.experiments.text.wording import SCALES, SHOWN, Unit, fixed, length_unit, shown_metric
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics
 from trackwright.trackers.evaluation.metrics import METRICS, Metric
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
@@ -36,8 +35,7 @@ _STATISTICS = ("rmse", "mean", "median", "std", "min", "max")
 class Section(NamedTuple):
     """A part of a report, for a terminal and a page: title, table and note; the first `n_text` columns are text.
 
-    `looks`: classes of columns on a page by their heads, as in the template `parts.html`. `parts`: what follows on a
-    page alone: texts, names with texts, and groups of charts.
+    `parts`: what follows on a page alone: texts, names with texts, and groups of charts.
     """
 
     title: str
@@ -45,13 +43,7 @@ class Section(NamedTuple):
     rows: Sequence[Sequence[str]] = ()
     n_text: int = 1
     note: str = ""
-    looks: Mapping[str, str] = {}
     parts: Sequence[Any] = ()
-
-    @property
-    def classes(self) -> list[str]:
-        """The classes of the columns on a page."""
-        return [self.looks.get(name, "text" if 0 < k < self.n_text else "") for k, name in enumerate(self.head)]
 
     def table(self) -> Table:
         """The table for a terminal: text, aligned left, may be wrapped."""
@@ -115,12 +107,6 @@ def replace_tables(page: Path, name: str, text: str) -> None:
     before, _, rest = page.read_text("utf-8").partition(begin)
     new = f"{before}{begin}\n\n{text}\n{end}{rest.partition(end)[2]}"
     atomic_write(page, lambda path: path.write_text(new, "utf-8"))
-
-
-def require_page(page: Path) -> None:
-    """Raises UnusableInput for a page that is none: before hours are spent on its tables."""
-    if not page.is_file():
-        raise UnusableInput(f"{page}: no such page; expected one with the marks of tables, as docs/performance.md")
 
 
 def to_json(evaluation: Evaluation) -> str:

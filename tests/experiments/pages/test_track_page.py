@@ -168,8 +168,5 @@ def test_errors_of_a_given_height_are_in_no_column():
 
 def test_of_many_recordings_the_worst_the_median_and_the_best_have_figures():
     rmse = np.array([0.2, np.nan, 0.05, 0.9, 0.4, 0.3])
-    why = drawn_of(rmse, angles=False)
-    assert why == {3: "worst of 5, RMSE 90 cm", 5: "median of 5, RMSE 30 cm", 2: "best of 5, RMSE 5 cm"}
-    assert drawn_of(rmse[:4], angles=False) == dict.fromkeys(range(4), "")
-    assert drawn_of(np.full(9, np.nan), angles=False) == dict.fromkeys(range(4), "")
-    assert drawn_of(np.radians([1, 2, 3, 4, 5.0]), angles=True)[4] == "worst of 5, RMSE 5 °"
+    assert drawn_of(rmse) == [3, 5, 2]
+    assert drawn_of(rmse[:4]) == drawn_of(np.full(9, np.nan)) == [0, 1, 2, 3]
