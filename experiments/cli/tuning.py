@@ -17,6 +17,7 @@ from trackwright.experiments.cli.console import Run, notices, output_folder, wri
 from trackwright.experiments.cli.options import SweepOptions, TuneOptions, WithNumbers, config, file_format
 from trackwright.experiments.jobs.fits import checked_bounds, cross_fitted, kept_fit, left_out_estimates
 from trackwright.experiments.pages import tuning as pages
+from trackwright.experiments.pages.chart import write
 from trackwright.experiments.pages.report import typed, write_page
 from trackwright.experiments.text.tables import aligned
 from trackwright.experiments.text.terminal import Advance, notice
@@ -152,7 +153,7 @@ def _write_run(fitted: Fitted, recordings: Sequence[Path], run: Run, compared: p
     calibrated = None if used.calibration is None else identity(used.calibration)
     content = compared.content() | tuned_content(name, objective, result, intervals, calibrated)
     tw.write_tuned(out / "tuned.toml", content)
-    drawn = _write_trace(out, data, result, objective, file_format(options.figures))
+    drawn = _write_trace(out, result, objective, file_format(options.figures))
     issues, lines = [], without_intervals(uncertainty, intervals)
     if uncertainty is not None:
         issues = identifiability_issues(uncertainty, result.evaluation.term_gradients, bool(data.held_out))
@@ -189,7 +190,7 @@ def _notes(data: FitData, result: tw.FitResult) -> Iterator[str]:
         yield "The held-out recordings were used to select the best point and to stop the fit."
 
 
-def _write_trace(out: Path, data: FitData, result: tw.FitResult, objective: str, figure: str | None) -> list[str]:
+def _write_trace(out: Path, result: tw.FitResult, objective: str, figure: str | None) -> list[str]:
     """Writes the table of the steps and, where asked for, its figure; returns the name of that."""
     traces, names = pages.traces_of(result), numbers.component_names(result.parameters)
     columns = {objective: traces[0].objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
@@ -199,7 +200,7 @@ def _write_trace(out: Path, data: FitData, result: tw.FitResult, objective: str,
         return []
     from trackwright.experiments.pages.chart import write_charts
 
-    return write_charts(out, [pages.objective_chart(traces, pages.objective_words(data, objective))], figure)
+    return write_charts(out, [pages.objective_chart(traces, objective)], figure)
 
 
 def table(result: tw.FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:
@@ -233,7 +234,7 @@ def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, 
     atomic_write(out / "sweep.csv", swept.to_polars(objective).write_csv)
     unit = "rad" if group.trajectories[0].station else "m"
     drawn = out / f"sweep.{options.figures}"
-    pages.sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective)
+    write(pages.sweep_chart(swept, f"RMSE ({unit})" if objective == "rmse" else objective), drawn)
     result = {"best": swept.best, "least": float(swept.mean[swept.best_index]), "filter_runs": swept.filter_runs}
     result["seconds"] = run.seconds
     about = config(options) | {"tracker": named.name}

@@ -45,10 +45,7 @@ NOTE = (
 
 
 class Source(NamedTuple):
-    """One angle of a station, or the ranges of an anchor or its range differences to others.
-
-    `table`: stations, anchors or differences. `column`: of the pairs.
-    """
+    """One angle of a station, or the ranges or range differences of an anchor; `column`: of the pairs."""
 
     table: str
     name: str

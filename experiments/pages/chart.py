@@ -31,8 +31,7 @@ LINES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 PALE, TRUTH = "#c3ccd6", "#9aa5b0"
 """What stands back, and true paths, below the tracks and wider: neither hides the other."""
 
-SYMBOLS = {"circle": "o", "square": "s", "triangle-up": "^", "diamond": "D"}
-DASHES = {"solid": "-", "dash": "--", "dot": ":"}
+SYMBOLS, DASHES = {"circle": "o", "square": "s", "triangle-up": "^"}, {"solid": "-", "dash": "--"}
 STYLE: dict[Any, Any] = {
     "font.size": 9, "text.color": INK, "axes.labelcolor": GREY, "xtick.color": GREY, "ytick.color": GREY,
     "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#9aa5b1", "axes.linewidth": 0.7,
@@ -191,10 +190,7 @@ def _draw_line(axes: Axes, line: Line) -> None:
             axes.fill(x[k], y[k], linewidth=0, **look | ({"label": "_"} if number else {}))
         return
     if line.marker:
-        symbol = SYMBOLS[line.marker.removesuffix("-open")]
-        look |= {"marker": symbol, "markersize": line.size, "markeredgecolor": "white"}
-        if line.marker.endswith("-open"):
-            look |= {"markerfacecolor": "none", "markeredgecolor": line.colour, "markeredgewidth": 1.5}
+        look |= {"marker": SYMBOLS[line.marker], "markersize": line.size, "markeredgecolor": "white"}
     axes.plot(x, y, linestyle=DASHES[line.dash] if line.width else "none", linewidth=line.width, **look)
     for place, text in zip(zip(x.tolist(), y.tolist(), strict=True), line.text, strict=False):
         axes.annotate(_literal(text), place, (0, -6), textcoords="offset points", ha="center", va="top", fontsize=7,

@@ -84,8 +84,7 @@ def floor_plan(scored: ScoredRecording, tags: Sequence[str] = ()) -> Chart:
     chart = plan("floor-plan", "Floor plan", [*truths, *parts], np.concatenate(around), scored.folder.rig)
     low, high = np.transpose([chart.xlim, chart.ylim])
     outside = int(((np.concatenate(drawn) < low) | (np.concatenate(drawn) > high)).any(axis=1).sum())
-    notes = ["Outlines: reported 95 % ellipses."]
-    notes += [f"{len(shown)} of {len(names)} tags are shown."] if len(names) > len(shown) else []
+    notes = [f"{len(shown)} of {len(names)} tags are shown."] if len(names) > len(shown) else []
     notes += [f"{outside} of {sum(map(len, drawn))} estimates lie outside the axes."] if outside else []
     return replace(chart, note=" ".join(notes))
 
@@ -144,10 +143,7 @@ def track_number(scored: ScoredRecording, tag: str | None) -> int:
 
 
 def error_over_time(scored: ScoredRecording, tag: str | None = None) -> Chart:
-    """The horizontal position error of a tag over time with its reported standard deviation, or the angle to the truth.
-
-    `tag`: by default the one with the largest RMSE. Raises UnusableInput for an unknown tag.
-    """
+    """The horizontal error of a tag, by default the worst, over time with its standard deviation, or of an angle."""
     rows = scored.rows_of(track_number(scored, tag))
     factor, name = (180 / np.pi, "angle to the truth (°)") if scored.angles else (1.0, "horizontal error (m)")
     error, parts = factor * scored.miss[rows], list[Line]()
@@ -255,11 +251,7 @@ def _consistency(scored: ScoredRecording, name: str, dof: np.ndarray, slow: str,
 
 
 def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]:
-    """Writes the charts of tracks and their errors into the folder `out`; returns the names of the files.
-
-    `kind`: the ending of the files, png or pdf. Of many recordings those in `tracks.drawn` have charts; all rows
-    together those of errors and coverage.
-    """
+    """Writes the charts of recordings `tracks.drawn`, and of all errors, into a folder, as png or pdf; their names."""
     figures = list[Chart]()
     for k in tracks.drawn:
         scored, name = tracks.recordings[k], tracks.folders[k].name
@@ -276,8 +268,7 @@ def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]
 class Residuals(NamedTuple):
     """The residuals (n,) of one column of readings about the estimates or, of bearings, about the truth.
 
-    `source`, `tag` (n,): numbers of the anchor or station among `sources`, and of the tag among the recording's.
-    `times` (n,): s.
+    `source`, `tag` (n,): numbers of the anchor or station among `sources`, and of the tag. `times` (n,): s.
     """
 
     name: str

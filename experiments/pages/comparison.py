@@ -50,11 +50,6 @@ class Contrast(NamedTuple):
     difference: Difference
     p: float
 
-    @property
-    def differs(self) -> bool | None:
-        """Whether the runs differ; None where that is unknown."""
-        return None if math.isnan(self.p) else self.p <= LEVEL
-
 
 def read_runs(folders: Sequence[Path]) -> tuple[dict[str, pl.DataFrame], list[str]]:
     """The runs in these folders by name, and notices; raises UnusableInput for what is no run, or of another kind."""
@@ -125,9 +120,10 @@ def difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> S
         p = MISSING if math.isnan(contrast.p) else "<0.001" if contrast.p < 0.001 else f"{contrast.p:.3f}"
         values = Value(d.first, math.nan, math.nan), Value(d.second, math.nan, math.nan), Value(d.value, d.low, d.high)
         shown = [with_interval(value, of) for value in values]
-        rows.append([contrast.run, heading(contrast.metric, of), *shown, p, yes_no(contrast.differs)])
+        differs = "" if math.isnan(contrast.p) else yes_no(contrast.p <= LEVEL)
+        rows.append([contrast.run, heading(contrast.metric, of), *shown, p, differs])
     pieces = sorted({contrast.difference.pieces for contrast in contrasts})
-    known = sum(contrast.differs is not None for contrast in contrasts)
+    known = sum(not math.isnan(contrast.p) for contrast in contrasts)
     count = " to ".join(map(str, dict.fromkeys((pieces[0], pieces[-1]))))
     note = f"Paired over {count} {contrasts[0].difference.kind}. p is adjusted for {known} comparisons (Holm)."
     if not known:
@@ -154,10 +150,7 @@ def write_comparison(
     path: Path, runs: Sequence[str], tables: Sequence[Section], charts: Sequence[Chart], command: Sequence[str],
     playback: str | None = None,
 ) -> Path:  # fmt: skip
-    """Writes the page whole or not at all; returns the path. Raises UnusableInput where it can't be written.
-
-    `playback`: the name of a page beside it that plays the runs back.
-    """
+    """Writes the page; returns the path. `playback`: the name of a page beside it that plays the runs back."""
     title = " and ".join(runs) if len(runs) == 2 else f"{len(runs)} runs: {', '.join(runs)}"
     link = Markup('<a href="{0}">{0}</a> plays the same runs back, with a selector of the tracker.').format(playback)
     sections = [*tables, Section("Figures", parts=[list(charts)])]

@@ -90,10 +90,7 @@ class ScoredRecording:
         return zero_of(first_time(tables) if tables else float(np.min(self.times, initial=np.inf)))
 
     def components(self) -> list[Component]:
-        """x, y and z, m, or azimuth and elevation, °, of all rows; a direction in an array's plane is one angle.
-
-        Heights without a standard deviation, as known ones, are left out.
-        """
+        """x, y and an estimated z, m, or azimuth and elevation, °; a direction in an array's plane is one angle."""
         names = ANGLES if self.angles else AXES
         values, errors, sigmas = (self.columns(*(kind + name for name in names)) for kind in ("", "error_", "std_"))
         sigmas[sigmas == 0] = np.nan
@@ -162,10 +159,7 @@ def rmse_by(rows: pl.DataFrame, key: str) -> np.ndarray:
 
 
 def scored_tracks(estimates: AnyEstimates, recording: AnyRecording, truth: bool = False) -> ScoredTracks:
-    """The estimates of one recording, in arrays too, with their errors where it has a truth.
-
-    Raises UnusableInput without a truth where `truth` asks for one.
-    """
+    """The estimates of one recording, in arrays too, with their errors; `truth`: refused where it has none."""
     table = estimates.to_polars()
     if truth or truths_of(recording):
         rows = rows_of(estimates, recording)

@@ -26,8 +26,6 @@ from trackwright.experiments.text.wording import Unit, heading, units_of, yes_no
 from trackwright.trackers.recordings.atomic import json_text
 
 REPORT = "report.html"
-DECADES = 30.0
-"""Ratio of the largest to the smallest value from which an axis is logarithmic."""
 
 
 def study_page(results: Results, expected: Sequence[Claim], command: Sequence[str]) -> str:
@@ -58,8 +56,7 @@ def to_text(results: Results, expected: Sequence[Claim]) -> str:
 
 
 def study_charts(results: Results) -> list[Chart]:
-    """The chart of the first metric that has values, with intervals: along the grid where that is one list of numbers,
-    else by condition."""
+    """The chart of the first metric with values and intervals, along a grid of one list of numbers, or by condition."""
     study, units = results.study, _units(results)
     for metric, found in results.main_metrics().items():
         known = {k: np.array(v.times(units[metric].factor)) for k, v in found.items() if np.isfinite(v.value)}
@@ -86,16 +83,12 @@ def study_charts(results: Results) -> list[Chart]:
             ends = np.stack([low, high, none], 1).ravel()
             parts.append(Line(ends, np.repeat(place, 3), "", colour, 3.0, opacity=0.35))
             parts.append(Line(middle, place, name, colour, 0.0, marker="circle"))
-    log = is_logarithmic(np.concatenate([*known.values()]), DECADES)
-    limits, title = (None, None) if log else (0.0, None), title[0].upper() + title[1:]
+    title = title[0].upper() + title[1:]
     if numeric:
-        logs = "x" * is_logarithmic(grid[along], 8.0) + "y" * log
-        return [Chart(metric, title, short(along), "", parts, ylim=limits, log=logs)]
-    count, names = len(study.conditions), {c.index: c.label for c in study.conditions}
-    height = max(1.6, 1.1 + 0.16 * len(known))
-    return [
-        Chart(metric, title, "", "", parts, limits, (count - 0.4, -0.6), log="x" * log, yticks=names, height=height)
-    ]
+        log = "x" * is_logarithmic(grid[along], 8.0)
+        return [Chart(metric, title, short(along), "", parts, ylim=(0, None), log=log)]
+    names, height = {c.index: c.label for c in study.conditions}, max(1.6, 1.1 + 0.16 * len(known))
+    return [Chart(metric, title, "", "", parts, (0, None), (len(names) - 0.4, -0.6), yticks=names, height=height)]
 
 
 def _units(results: Results) -> dict[str, Unit]:

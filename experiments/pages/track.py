@@ -15,8 +15,8 @@ from trackwright.experiments.pages.chart import numbers
 from trackwright.experiments.pages.charts import coverage, error_cdf, residuals
 from trackwright.experiments.pages.report import page, write_page
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks
-from trackwright.experiments.text.tables import Section
-from trackwright.experiments.text.wording import SCALES, fixed, shown_metric
+from trackwright.experiments.text.tables import Section, cells, title_of
+from trackwright.experiments.text.wording import length_unit, shown_metric
 from trackwright.trackers.core.data.seconds import time_label
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import Evaluation
@@ -35,9 +35,6 @@ MOST_ROWS, MOST_TRACKS, MOST_POINTS, MOST_EVENTS = 25_000, 300, 12_000, 1_000
 
 MOST_RECORDINGS, MOST_LISTED = 60, 40
 """The most recordings of a page, and the most tracks in its table: those with the largest errors."""
-
-HEADED = {"m": ", m", "m²": ", m²", "rad": ", °", "s": ", s"}
-"""The units in headings of columns, by those in which metrics are stored."""
 
 NO_EVENTS = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
 """The events of estimates that were not tracked here."""
@@ -68,8 +65,7 @@ def run_data(
 ) -> dict[str, Any]:
     """Everything that the page shows of one tracker, within limits on rows, tracks and residuals of all together.
 
-    `evaluation`: None without truth. `tracker`: what it is; `name`: its name where the page has `of` trackers, more
-    than one.
+    `evaluation`: None without truth. `tracker`: what it is; `name`: its name where the page has `of` trackers.
     """
     shown, listed, recordings = tracks.recordings[:MOST_RECORDINGS], list[Mapping[str, Any]](), []
     total = of * max(sum(len(recording.times) for recording in shown), 1)
@@ -99,20 +95,13 @@ def _metrics(runs: Sequence[Mapping[str, Any]]) -> Section:
     keys = [(line["recording"], line["tag"], line["station"]) for line in lines]
     order = {key: k for k, key in enumerate(dict.fromkeys(sorted(keys, key=lambda key: key[1] is not None)))}
     lines = [lines[k] for k in sorted(range(len(lines)), key=lambda k: order[keys[k]])]
-    labels = ["recording", "tag", "station", *["tracker"] * (len(runs) > 1)]
-    labels = [name for name in labels if any(line[name] for line in lines)]
+    labels = [name for name in ("recording", "tag", "station", "tracker") if any(line[name] for line in lines)]
     columns = [metric for metric in METRICS.values() if metric.page and any(metric.name in line for line in lines)]
-    titles = (metric.short.replace("\n/", "/").replace("\n", " ") + HEADED.get(metric.unit, "") for metric in columns)
-    rows = []
-    for line in lines:
-        cells = []
-        for metric in columns:
-            factor, digits = SCALES.get(metric.unit, (1.0, 3))
-            value = factor * line.get(metric.name, math.nan)
-            cells.append(fixed(value, 0 if abs(value) >= 1e4 else digits))
-        rows.append([*(line[name] or "" for name in labels), *cells])
-    note = "Each recording, and the tracks with the largest errors."
-    return Section("Metrics", [*labels, *titles], rows, len(labels), note)
+    unit = length_unit(min((line["rmse_m"] for line in lines if "rmse_m" in line), default=math.nan))
+    rows = [[*(line[name] or "" for name in labels), *cells(line, columns, unit)] for line in lines]
+    head = [*labels, *(title_of(metric).replace("\n", " ") for metric in columns)]
+    note = f"Lengths in {unit.name}, angles in degrees: each recording, and the tracks with the largest errors."
+    return Section("Metrics", head, rows, len(labels), note)
 
 
 def recording_data(
@@ -176,10 +165,9 @@ def drawn_tracks(worst_first: list[int], most: int) -> list[int]:
 
 
 def drawn_rows(lengths: np.ndarray, weight: np.ndarray, most: int) -> np.ndarray:
-    """The rows that are drawn, ascending: all, or the first, the last and those with the largest weight of each block.
+    """The rows that are drawn, ascending: all, or about `most`, the first and that of the largest weight of each block.
 
-    Blocks of equal length; `lengths` (g,): rows of each track; `weight` (n,): the size of the error, NaN as zero. About
-    `most` rows, two of each block at least.
+    `lengths` (g,): rows of each track, whose last are drawn, too; `weight` (n,): the size of the error.
     """
     n = int(lengths.sum())
     if n <= most:

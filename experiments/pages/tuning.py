@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
 from markupsafe import Markup
 
-from trackwright.experiments.pages.chart import BLUE, LINES, PALE, VERMILION, Chart, Line, band, is_logarithmic, write
+from trackwright.experiments.pages.chart import BLUE, LINES, PALE, VERMILION, Chart, Line, band, is_logarithmic
 from trackwright.experiments.pages.comparison import comparison
 from trackwright.experiments.pages.report import report_page
 from trackwright.experiments.text.tables import Section, sections_text
@@ -32,14 +31,6 @@ from trackwright.tuning.identifiability import IdentifiabilityIssue
 from trackwright.tuning.intervals import Interval
 from trackwright.tuning.parameters import component_names
 from trackwright.tuning.sweeping import Sweep
-
-OBJECTIVES = {
-    "nll": "negative log-likelihood per measured number (nats)",
-    "rmse": "RMSE ({})",
-    "rmse-3d": "3-D RMSE ({})",
-    "state-nll": "negative log-likelihood of the truth per row (nats)",
-}
-"""The objectives in words, for the unit of the truth."""
 
 
 class Verdict(NamedTuple):
@@ -101,10 +92,7 @@ def judge(sides: Sequence[pl.DataFrame], dimensions: int) -> Verdict:
 
 
 class Compared(NamedTuple):
-    """Recordings before and after tuning: their tables, sentences on the covariances after it, and the verdict.
-
-    `about`: in words, the recordings. `metrics`: of each recording by name, before and after.
-    """
+    """Recordings, in words `about`, before and after tuning: tables, sentences on the covariances after it, verdict."""
 
     about: str
     sections: Sequence[Section]
@@ -156,10 +144,7 @@ def compare(
 
 
 class TunedParameter(NamedTuple):
-    """A parameter before and after; `low`, `high`: its 95 % interval, NaN where there is none.
-
-    `determined`: whether the recordings determine it; None where the objective has no information on that.
-    """
+    """A parameter before and after, its 95 % interval, NaN if unknown, whether it is determined, None if unknown."""
 
     name: str
     unit: str
@@ -214,25 +199,19 @@ def recording_names(trajectories: Sequence[Trajectory]) -> list[str]:
     return list(dict.fromkeys(trajectory.folder.name for trajectory in trajectories))
 
 
-def objective_words(data: FitData, objective: str) -> str:
-    """The objective in words with its unit, where it is one by name."""
-    name = "rmse-3d" if objective == "rmse" and data.dimensions == 3 else objective
-    return OBJECTIVES.get(name, name).format("rad" if data.training[0].station else "m")
-
-
 def tuning_page(
     result: FitResult, data: FitData, objective: str, compared: Compared, intervals: Mapping[str, Interval],
     issues: Sequence[IdentifiabilityIssue], *, tracker: str, cautions: Sequence[str], notes: Sequence[str],
     commands: Sequence[str],
 ) -> str:  # fmt: skip
     """The page of a fit. `cautions`: clauses of the fit on itself. `notes`: sentences on irregularities of the run."""
-    about, parameters = objective_words(data, objective), tuned_parameters(result, intervals, issues)
+    parameters = tuned_parameters(result, intervals, issues)
     word, sentence, warnings = advice(parameters, compared, [issue.text for issue in issues], cautions)
     summary = Markup('<b class="{}">{}</b> {}').format("better" if word == "Better." else "worse", word, sentence)
     training, held_out = recording_names(data.training), recording_names(data.held_out)
     settings = {
         "Tracker": f"{tracker}: {spec_of(tracker).about}",
-        "Objective": f"{about}, {number(result.start_value)} → {number(result.value)}",
+        "Objective": f"{objective}, {number(result.start_value)} → {number(result.value)}",
         "Tuned on": listed(training, 12),
         "Held out": listed(held_out, 12) or "none",
     }
@@ -241,7 +220,7 @@ def tuning_page(
         _parameters_section(parameters),
         *compared.sections,
         Section("Covariances after the fit", parts=compared.statements),
-        Section("Optimisation", parts=[[objective_chart(traces_of(result), about)]]),
+        Section("Optimisation", parts=[[objective_chart(traces_of(result), objective)]]),
     ]
     title = f"{tracker}, tuned on {counted(len(training), 'recording')}"
     return report_page("tuning report", title, [summary], sections, commands, warnings)
@@ -291,10 +270,7 @@ def objective_chart(traces: Sequence[Trace], title: str) -> Chart:
 
 
 def sweep_chart(swept: Sweep, objective: str) -> Chart:
-    """The objective over the first number of a grid, a curve for each value of the second, and its least value.
-
-    `objective`: its name and unit. Of one number the band is the standard deviation over repeats.
-    """
+    """The objective over the first number of a grid, a curve for each value of the second, and its least value."""
     mean, at, grid, (first, *second) = swept.mean, swept.best_index, swept.grids[0], swept.parameters
     parts = []
     if not second and len(swept.values) > 1:
@@ -307,8 +283,3 @@ def sweep_chart(swept: Sweep, objective: str) -> Chart:
     label = first.label + ("" if first.example.unit in ("", "1") else f" ({first.example.unit})")
     title = f"{objective}: minimum {mean[at]:.5g} at {where}"
     return Chart("sweep", title, label, objective, parts, log="x" * is_logarithmic(grid), height=3.6)
-
-
-def sweep_plot(path: Path, swept: Sweep, objective: str) -> Path:
-    """Writes the chart of a sweep; returns the path. Raises UnusableInput where the file can't be written."""
-    return write(sweep_chart(swept, objective), path)

@@ -44,7 +44,7 @@ def scored():
 
 PARTS = [
     band([0, 1, 2, 3, 4], [0, 0, np.nan, 1, 1], [1, 1, 2, 2, 2], "band"),
-    Line([1, 2, np.nan, 4], [10, 20, 30, 40], "<line> $5", marker="circle-open", text=["a", "b"]),
+    Line([1, 2, np.nan, 4], [10, 20, 30, 40], "<line> $5", marker="circle", text=["a", "b"]),
 ]
 CHART = Chart("one", "A <title>", "x (m)", "y", PARTS, ylim=(0.1, 100), log="y", note="a note")
 
