@@ -83,28 +83,23 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(runs, tmp_path):
 
 
 def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():
-    claims = [
-        {"figure": "Table 1", "printed": 10.0, "ours": _value(10.4, 0.2), "unit": "cm", "ratio": 1.04,
-         "compares_rest": False, "origin": "fitted", "reached": True, "note": ""},
-        {"figure": "Table 2", "printed": 10.0, "ours": _value(14.0, 0.2), "unit": "cm", "ratio": 1.4,
-         "compares_rest": False, "origin": "predicted", "reached": False, "note": "The nearest is this."},
-        {"figure": "Table 3", "printed": 98.3, "ours": _value(93.7, 0.2), "unit": "%", "ratio": 3.71,
-         "compares_rest": True, "origin": "predicted", "reached": False, "note": ""},
-        {"figure": "Table 4", "printed": 5.0, "ours": _value(5.0, 0.2), "unit": "cm", "ratio": 1.0,
-         "compares_rest": False, "origin": "derived", "reached": None, "note": ""},
-        {"says": "A is better", "holds": False, "evidence": "1 against 2", "origin": "derived"},
-        {"says": "B is better", "holds": True, "evidence": "2 against 1", "origin": "predicted"},
-    ]  # fmt: skip
-    text = part({"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0})
-    assert "| Table 1 | 10 cm | 10.40 (10.30 … 10.50) | 1.04 | fitted | yes |" in text
-    assert "| 1.40 | predicted | **no** |" in text
-    assert "| 3.71 (rest) | predicted | **no** |" in text
-    assert "| 1.00 | derived |  |" in text
+    names = "figure", "printed", "ours", "unit", "ratio", "compares_rest", "origin", "reached", "note"
+    numbers = [
+        ("Table 1", 10.0, _value(10.4, 0.2), "cm", 1.04, False, "fitted", True, ""),
+        ("Table 2", 10.0, _value(14.0, 0.2), "cm", 1.4, False, "predicted", False, "The nearest is this."),
+        ("Table 3", 98.3, _value(93.7, 0.2), "%", 3.71, True, "predicted", False, ""),
+        ("Table 4", 5.0, _value(5.0, 0.2), "cm", 1.0, False, "derived", None, ""),
+    ]
+    claims = [dict(zip(names, number, strict=True)) for number in numbers]
+    claims.append({"says": "A is better", "holds": False, "evidence": "1 against 2", "origin": "derived"})
+    claims.append({"says": "B is better", "holds": True, "evidence": "2 against 1", "origin": "predicted"})
+    study = {"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0}
     counts = "Predicted: 0 of 2 numbers within tolerance; 1 of 1 conclusion holds. "
     counts += "Derived, not counted: 1 number, 1 conclusion. Fitted: 1 of 1 number within tolerance."
+    text = part(study)
+    assert "| Table 1 | 10 cm | 10.40 (10.30 … 10.50) | 1.04 | fitted | yes |" in text
+    assert all(f"| {cells} |" in text for cells in ("1.40 | predicted | **no**", "3.71 (rest) | predicted | **no**"))
     assert f"**{counts}**" in text
-    assert tables([{"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0}], 12.0).count(counts) == 2
+    assert tables([study], 12.0).count(counts) == 2
     assert "**Does not hold** (*derived*): A is better." in text
-    assert "Holds (*predicted*): B is better." in text
-    rows = evidence([{"study": "some", "claims": claims}])
-    assert rows["evidence"].to_list() == ["", "The nearest is this.", "", "", "1 against 2", "2 against 1"]
+    assert evidence([study])["evidence"].to_list() == ["", "The nearest is this.", "", "", "1 against 2", "2 against 1"]
