@@ -1,7 +1,4 @@
-"""A chart described as numbers, lines and areas with their axes: for plotly.js on a page, for matplotlib elsewhere.
-
-matplotlib is imported where a chart is drawn: it takes a third of a second, which a page need not wait for.
-"""
+"""A chart described as numbers, for plotly.js on a page and matplotlib elsewhere, which is imported to draw only."""
 
 from __future__ import annotations
 

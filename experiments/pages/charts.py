@@ -39,12 +39,8 @@ from trackwright.tuning.diagnostics import nis_band
 Runs = ScoredRecording | pl.DataFrame | Mapping[str, ScoredRecording | pl.DataFrame]
 """Scored estimates of a recording or of several, or those of several runs by name."""
 
-MARKED = (50.0, 90.0, 95.0)
-"""Percentiles named in the distribution of errors."""
-
-LEVELS = {level: str(level) for level in (0, 25, 50, 75, 90, 100)}
-SHARES = {share: str(share) for share in (0, 25, 50, 75, 90, 95, 100)}
-"""Ticks of levels of ellipses, and of shares of rows, %."""
+MARKED, LEVELS = (50.0, 90.0, 95.0), {level: str(level) for level in (0, 25, 50, 75, 90, 100)}
+"""Percentiles named in the distribution of errors, and ticks of levels and shares, %."""
 
 ELLIPSES, LARGE = 24, 3.0
 """The most ellipses of a floor plan, and the size in medians of those that are not drawn, as of a start."""
@@ -56,11 +52,10 @@ WIDE: dict[str, Any] = {"width": 8.0, "height": 2.6}
 
 
 def floor_plan(scored: ScoredRecording, tags: Sequence[str] = ()) -> Chart:
-    """The estimated paths over the floor, m, with truth, anchors and stations where the recording has any.
+    """The estimated paths over the floor, m, with some reported 95 % ellipses, truth and installation.
 
-    Some estimates have their reported 95 % ellipse. `tags`: those drawn, at most six; by default all, or of more the
-    worst, the median and the best. Outliers don't set the scale; a note names their number. Raises UnusableInput for
-    bearings, and for an unknown tag.
+    `tags`: those drawn, at most six; by default all, or of more the worst, the median and the best. Outliers don't set
+    the scale; a note names their number. Raises UnusableInput for bearings, and for an unknown tag.
     """
     if scored.angles:
         raise UnusableInput("floor_plan: found bearings; expected estimates of positions")
@@ -200,7 +195,7 @@ def error_cdf(scored: Runs) -> Chart:
         label = f"{name}: {words} {unit.name}" + (f", {beyond:.1f} % beyond" if beyond >= 1.05 else "")
         parts.append(Line(unit.factor * np.percentile(values, shares), shares, label, LINES[k % len(LINES)]))
     what = "angle to the truth" if is_bearing(first) else "error" if len(errors) > 1 else "horizontal error"
-    ends: dict[str, Any] = {"xlim": (0, unit.factor * end), "ylim": (0, 101), "yticks": SHARES, "width": 6.4}
+    ends: dict[str, Any] = {"xlim": (0, unit.factor * end), "ylim": (0, 101), "yticks": LEVELS, "width": 6.4}
     label = "estimates with at most this error (%)"
     return Chart("error-cdf", "Distribution of errors", f"{what} ({unit.name})", label, parts, **ends)
 

@@ -244,7 +244,8 @@ def advice(
 ) -> tuple[str, str, list[str]]:
     """The verdict in a word, the sentence on what it is by, and warnings with advice."""
     names, verdict = [p.name for p in parameters if p.determined is False], compared.verdict
-    said = [f"{text}." for text in (*cautions, *issues)]
+    # A clause that begins with the name of a parameter keeps its case.
+    said = [f"{x if '.' in x.split(' ')[0] else x[:1].upper() + x[1:]}." for x in (*cautions, *issues)]
     if names:
         said.append(
             f"Not determined by the recordings: {', '.join(names)}. Do not use such values as measurements: freeze or "

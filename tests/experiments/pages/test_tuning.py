@@ -98,7 +98,7 @@ def test_a_verdict_names_its_interval_what_got_worse_and_what_is_not_determined(
     (text,) = advice([known, unknown._replace(determined=False)], _compared(-2.0, 1.0, 2.5, 3.5), [], [])[2]
     assert text.startswith("Not determined by the recordings: c.d. Do not use such values")
     _, _, warnings = advice([known], _compared(-2.0, 1.0, 2.5, 3.5), ["an issue"], ["a caution"])
-    assert warnings == ["a caution.", "an issue."]
+    assert warnings == ["A caution.", "An issue."]
     assert Verdict(None, {}, "too short").word == "not judged"
 
 
@@ -122,7 +122,7 @@ def test_the_parameters_steps_and_page_of_a_fit_are_those_of_the_fit(walks):
     more = {"tracker": "fix-kf", "cautions": [], "notes": ["A note."], "commands": [NASTY]}
     page = tuning_page(result, data, "nll", _compared(1.0, 0.5, -0.9, -0.1), intervals, issues, **more)
     text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
-    words = number(shown[0].after), number(shown[1].high), "Worse.", "an issue.", "A note.", "a, b"
+    words = number(shown[0].after), number(shown[1].high), "Worse.", "An issue.", "A note.", "a, b"
     assert all(word in text for word in words)
     assert "<script>alert" not in page
 
