@@ -36,15 +36,11 @@ rows = 80
 COMMANDS = """
 simulate ranges --out hall --n 1 --rows 500
 track hall --figures png --out track
-simulate fusion --out monday --n 2 --rows 300 --seed 1
-simulate fusion --out tuesday --n 2 --rows 300 --seed 2
-calibrate monday tuesday --out calibrate/calibration.toml
 study noise.toml --figures png --out study
 """
 
 MADE = {
     "track": ("track/report.html", "track/nees-over-time.png"),
-    "calibrate": ("calibrate/calibration.html", "calibrate/calibration-stations-floor-1-azimuth.png"),
     "study": ("study/report.html", "study/rmse_m.png"),
 }
 """The page of each command, and the figure that stands for it where no page can be shown."""

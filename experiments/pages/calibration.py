@@ -15,16 +15,7 @@ from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.recordings.calibration import (
-    ANGLE_PRIOR,
-    ANGLES,
-    DETERMINED,
-    OFFSET_SIGMA,
-    RANGE_PRIOR,
-    UNCALIBRATED,
-    Calibration,
-    range_terms,
-)
+from trackwright.trackers.recordings.calibration import ANGLES, UNCALIBRATED, Calibration, range_terms
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import calibrate
@@ -39,27 +30,22 @@ SECTIONS = {
     "stations": Section(
         "Stations", ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS), (), 2,
         "A true angle a, with the other angle b, is measured as offset + gain·a + cubic·a³ + cross·a·b."),
-    "anchors": Section(
-        "Anchors", ("anchor", "bias, m", "slope", *_ERRORS), (), 1,
+    "anchors": Section("Anchors", ("anchor", "bias, m", "slope", *_ERRORS), (), 1,
         "A distance d is measured as d + bias + slope·d, plus the bias of the tag where there are several."),
-    "tags": Section(
-        "Tags", ("tag", "bias, m", "ahead, m", "to the left, m", "rows"), (), 1,
-        "Bias relative to the mean of the tags, and where on the body their ranges end, from the place of the tag."),
+    "differences": Section("Range differences", ("anchor", "bias, m", *_ERRORS), (), 1,
+        "A difference is measured with the bias of its first anchor less that of the second, relative to their mean."),
+    "tags": Section("Tags", ("tag", "bias, m", "rows"), (), 1, "Bias relative to the mean of the tags."),
 }  # fmt: skip
 """The tables without their rows: of stations by angle, of anchors, of tags if several."""
 
 NOTE = (
-    "±: standard error. In brackets: not determined by these recordings, near its value before them. As measured, "
-    "calibrated: 68th percentile of the absolute error before and after. Left out: by a calibration on the other "
-    "recordings."
+    "±: standard error; in brackets: not determined, near its value before. Errors: 68th percentile as measured, "
+    "calibrated, and by a calibration on the other recordings (left out)."
 )
 
 
 class Source(NamedTuple):
-    """One angle of a station, or the ranges of an anchor.
-
-    `table`: stations or anchors. `column`: of the pairs.
-    """
+    """One angle of a station, or the ranges or range differences of an anchor; `column`: of the pairs."""
 
     table: str
     name: str
@@ -131,19 +117,15 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         shown = [MISSING if np.isnan(spread) else fixed(factor * spread, 1) + unit for spread in spreads]
         head = [source.name, *[source.quantity] * (source.table == "stations")]
         rows[source.table].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
-    for name, tag in calibration.tags.items() if len(calibration.tags) > 1 else ():
-        # There is no place on a body whose heading is not known.
-        places = (_term(*of, of[1] < DETERMINED * OFFSET_SIGMA) if of[1] else MISSING
-                  for of in zip(tag.offset, tag.offset_sigmas, strict=True))  # fmt: skip
-        rows["tags"].append([name, _term(tag.bias, tag.sigma, True), *places, str(tag.rows)])
-    looks = {"calibrated": "after"}
-    tables = {name: one._replace(rows=rows[name], looks=looks) for name, one in SECTIONS.items() if rows[name]}
+    several = calibration.tags if len(calibration.tags) > 1 else {}
+    rows["tags"] = [[name, _term(tag.bias, tag.sigma, True), str(tag.rows)] for name, tag in several.items()]
+    tables = {name: one._replace(rows=rows[name]) for name, one in SECTIONS.items() if rows[name]}
     return Report(tables, sources, NOTE)
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
-    of = {"stations": ("bearings", ANGLES), "anchors": ("ranges", ["range"])}
-    for table, (kind, quantities) in of.items():
+    angles, ranges, tdoa = ("bearings", ANGLES), ("ranges", ["range"]), ("tdoa", ["range difference"])
+    for table, (kind, quantities) in {"stations": angles, "anchors": ranges, "differences": tdoa}.items():
         for name, pairs in calibration_pairs(folders, KINDS[kind]).items():
             yield from (Source(table, name, quantity, k, pairs) for k, quantity in enumerate(quantities))
 
@@ -169,8 +151,7 @@ def errors_chart(source: Source, calibration: Calibration) -> Chart:
         wild = max(wild, 1.2 * float(np.nanquantile(np.abs(errors), 0.99, method="higher")))
         parts.append(Line(true[every], errors[every], name, colour, 0.0, marker="circle", size=3))
     labels = f"true {source.quantity} ({'°' if unit == '°' else 'm'})", f"error ({unit.strip()})"
-    name = f"{source.table}-{source.name}-{source.quantity}"
-    return Chart(name, f"{source.name}: {source.quantity}", *labels, parts, ylim=(-wild, wild))
+    return Chart("errors", f"{source.name}: {source.quantity}", *labels, parts, ylim=(-wild, wild))
 
 
 def write_calibration_report(out: Path, calibration: Calibration, report: Report, command: Sequence[str]) -> Path:
@@ -178,8 +159,7 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
     recordings, shown = calibration.recordings, [one for one in report.sources if np.isfinite(one.errors(None)).any()]
     charts = [errors_chart(one, calibration) for one in shown[:SHOWN]]
     summary = f"Systematic errors of {listed([*report.tables])}, from recordings with truth: {listed(recordings, 12)}."
-    most = f"Of the first {SHOWN}." if len(shown) > SHOWN else ""
-    sections = [*report.tables.values(), Section("Errors of readings", note=most, parts=[charts])]
+    sections = [*report.tables.values(), Section(f"Errors of the first {len(charts)}", parts=[charts])]
     title = f"Calibration on {counted(len(recordings), 'recording')}"
     use = f"trackwright track RECORDING --calibration {out} --out out/tracks"
     text = report_page("calibration", title, [summary, report.note], sections, [use, typed(command)])
@@ -194,9 +174,7 @@ def write_survey_page(out: Path, survey: Survey, command: Sequence[str]) -> Path
     found = path(ellipses(places, covs), "95 % ellipse", BLUE)
     around = np.concatenate([walk[:, :2] for walk in survey.paths])
     chart = plan("survey", "Anchors with 95 % ellipses over the walks", [*walks, found], around, survey.rig)
-    summary = f"Positions and delays of {counted(len(survey.names), 'anchor')} without truth."
+    table = Section("Anchors", survey.head, survey.rows(), 1, survey.reading, [[chart]])
     notes = [f"{note[0].upper()}{note[1:]}." for note in survey.notes]
-    table = Section("Anchors", survey.head, survey.rows(), 1, survey.reading, {survey.head[-1]: "long"}, [[chart]])
-    use = f"trackwright track RECORDING --out out/tracks, with {out} as its rig.toml"
-    text = report_page("survey", f"Survey of {survey.rig.name}", [summary, *notes], [table], [use, typed(command)])
+    text = report_page("survey", f"Survey of {survey.rig.name}", notes, [table], [typed(command)])
     return write_page(out.with_suffix(".html"), text)

@@ -1,7 +1,4 @@
-"""A chart described as numbers, lines and areas with their axes: for plotly.js on a page, for matplotlib elsewhere.
-
-matplotlib is imported where a chart is drawn: it takes a third of a second, which a page need not wait for.
-"""
+"""A chart described as numbers, for plotly.js on a page and matplotlib elsewhere, which is imported to draw only."""
 
 from __future__ import annotations
 
@@ -31,8 +28,7 @@ LINES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 PALE, TRUTH = "#c3ccd6", "#9aa5b0"
 """What stands back, and true paths, below the tracks and wider: neither hides the other."""
 
-SYMBOLS = {"circle": "o", "square": "s", "triangle-up": "^", "diamond": "D"}
-DASHES = {"solid": "-", "dash": "--", "dot": ":"}
+SYMBOLS, DASHES = {"circle": "o", "square": "s", "triangle-up": "^"}, {"solid": "-", "dash": "--"}
 STYLE: dict[Any, Any] = {
     "font.size": 9, "text.color": INK, "axes.labelcolor": GREY, "xtick.color": GREY, "ytick.color": GREY,
     "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#9aa5b1", "axes.linewidth": 0.7,
@@ -115,16 +111,8 @@ class Chart:
 
 
 def numbers(values: ArrayLike) -> list[float | None]:
-    """The numbers with five significant digits, or those of their span where they lie far from zero; None for NaN."""
-    array = np.asarray(values, float)
-    known = array[np.isfinite(array)]
-    span = float(np.ptp(known)) if len(known) else 0.0
-
-    def short(x: float) -> float:
-        size = min(abs(x), span) or abs(x)
-        return round(x, 4 - math.floor(math.log10(size))) if size else 0.0
-
-    return [short(x) if math.isfinite(x) else None for x in array.tolist()]
+    """The numbers with nine significant digits, as of coordinates of maps; None for NaN."""
+    return [float(f"{x:.9g}") if math.isfinite(x) else None for x in np.asarray(values, float).tolist()]
 
 
 def band(
@@ -199,10 +187,7 @@ def _draw_line(axes: Axes, line: Line) -> None:
             axes.fill(x[k], y[k], linewidth=0, **look | ({"label": "_"} if number else {}))
         return
     if line.marker:
-        symbol = SYMBOLS[line.marker.removesuffix("-open")]
-        look |= {"marker": symbol, "markersize": line.size, "markeredgecolor": "white"}
-        if line.marker.endswith("-open"):
-            look |= {"markerfacecolor": "none", "markeredgecolor": line.colour, "markeredgewidth": 1.5}
+        look |= {"marker": SYMBOLS[line.marker], "markersize": line.size, "markeredgecolor": "white"}
     axes.plot(x, y, linestyle=DASHES[line.dash] if line.width else "none", linewidth=line.width, **look)
     for place, text in zip(zip(x.tolist(), y.tolist(), strict=True), line.text, strict=False):
         axes.annotate(_literal(text), place, (0, -6), textcoords="offset points", ha="center", va="top", fontsize=7,

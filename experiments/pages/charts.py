@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,11 +12,9 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.pages.chart import (
-    BLUE,
     GREY,
     LINES,
     TRUTH,
-    VERMILION,
     Chart,
     Line,
     band,
@@ -41,12 +39,8 @@ from trackwright.tuning.diagnostics import nis_band
 Runs = ScoredRecording | pl.DataFrame | Mapping[str, ScoredRecording | pl.DataFrame]
 """Scored estimates of a recording or of several, or those of several runs by name."""
 
-MARKED = (50.0, 90.0, 95.0)
-"""Percentiles named in the distribution of errors."""
-
-LEVELS = {level: str(level) for level in (0, 25, 50, 75, 90, 100)}
-SHARES = {share: str(share) for share in (0, 25, 50, 75, 90, 95, 100)}
-"""Ticks of levels of ellipses, and of shares of rows, %."""
+MARKED, LEVELS = (50.0, 90.0, 95.0), {level: str(level) for level in (0, 25, 50, 75, 90, 100)}
+"""Percentiles named in the distribution of errors, and ticks of levels and shares, %."""
 
 ELLIPSES, LARGE = 24, 3.0
 """The most ellipses of a floor plan, and the size in medians of those that are not drawn, as of a start."""
@@ -54,46 +48,38 @@ ELLIPSES, LARGE = 24, 3.0
 WINDOW, WINDOWS = 20, 120
 """The fewest rows of a mean of NEES or NIS over time, and the most means."""
 
-LEAST = 5
-"""The fewest readings of a box."""
-
 WIDE: dict[str, Any] = {"width": 8.0, "height": 2.6}
 
 
 def floor_plan(scored: ScoredRecording, tags: Sequence[str] = ()) -> Chart:
-    """The estimated paths over the floor, m, with truth, anchors and stations where the recording has any.
+    """The estimated paths over the floor, m, with some reported 95 % ellipses, truth and installation.
 
-    Some estimates have their reported 95 % ellipse. `tags`: those drawn, at most six; by default all, or of more the
-    worst, the median and the best. Outliers don't set the scale; a note names their number. Raises UnusableInput for
-    bearings, and for an unknown tag.
+    `tags`: those drawn, at most six; by default all, or of more the worst, the median and the best. Outliers don't set
+    the scale; a note names their number. Raises UnusableInput for bearings, and for an unknown tag.
     """
     if scored.angles:
         raise UnusableInput("floor_plan: found bearings; expected estimates of positions")
     names = [str(tag) for tag in scored.first["tag"]]
     order = sorted(range(len(names)), key=lambda k: natural(names[k]))
-    chosen = drawn_of(scored.rmse[order], False, len(LINES))
-    shown = dict.fromkeys(tags[: len(LINES)], "") or {names[order[k]]: why for k, why in chosen.items()}
+    shown = tags[: len(LINES)] or [names[order[k]] for k in drawn_of(scored.rmse[order], len(LINES))]
     parts, truths, around, drawn = list[Line](), list[Line](), [np.zeros((0, 2))], [np.zeros((0, 2))]
-    for (tag, remark), colour in zip(shown.items(), LINES, strict=False):
-        rows = scored.rows_of(track := track_number(scored, tag))
+    for tag, colour in zip(shown, LINES, strict=False):
+        rows = scored.rows_of(track_number(scored, tag))
         places, table = scored.columns("x_m", "y_m")[rows], scored.rows[rows]
         there = np.isfinite(places).all(axis=1)
         _, whole = broken_at_gaps(scored.times[rows][there], places[there])
         centres, covs = _some_covariances(places, table, min(ELLIPSES // len(shown), ELLIPSES // 2))
-        name = (f"tag {tag}" if tag else "estimates") + (f": {remark}" if remark else "")
+        name = f"tag {tag}" if tag else "estimates"
         parts += [path(whole, name, colour, 1.1), path(ellipses(centres, covs), "", colour, 0.8)]
-        for row, marker, word in ((0, "circle-open", "start"), (-1, "square-open", "end")) if there.sum() > 1 else ():
-            word = word if len(drawn) == len(shown) else ""
-            parts.append(path(places[there][[row]], word, colour, 0.0, marker=marker, size=8))
-        true = true_path(scored, track)
+        true, known = scored.columns("true_x_m", "true_y_m")[rows], scored.miss[rows] >= 0
+        _, true = broken_at_gaps(scored.times[rows][known], true[known])
         truths += [path(true, "" if truths else "truth", TRUTH, 3.0)] if len(true) else []
         drawn.append(places[there])
         around += [true, np.quantile(places[there], (0.01, 0.99), axis=0, method="nearest") if there.any() else true]
     chart = plan("floor-plan", "Floor plan", [*truths, *parts], np.concatenate(around), scored.folder.rig)
     low, high = np.transpose([chart.xlim, chart.ylim])
     outside = int(((np.concatenate(drawn) < low) | (np.concatenate(drawn) > high)).any(axis=1).sum())
-    notes = ["Outlines: reported 95 % ellipses."]
-    notes += [f"{len(shown)} of {len(names)} tags are shown."] if len(names) > len(shown) else []
+    notes = [f"{len(shown)} of {len(names)} tags are shown."] if len(names) > len(shown) else []
     notes += [f"{outside} of {sum(map(len, drawn))} estimates lie outside the axes."] if outside else []
     return replace(chart, note=" ".join(notes))
 
@@ -142,15 +128,6 @@ def ellipses(centres: np.ndarray, covs: np.ndarray) -> np.ndarray:
     return (np.swapaxes(half_axes @ np.stack([np.cos(turn), np.sin(turn)]), 1, 2) + centres[:, None]).reshape(-1, 2)
 
 
-def true_path(scored: ScoredRecording, track: int) -> np.ndarray:
-    """The true path (n, 2), m, of a track, NaN in gaps: of the truth table, else at its rows; none without truth."""
-    rows, paths = scored.rows_of(track), scored.folder.paths
-    tag, true = str(scored.rows["tag"][rows.start]), scored.columns("true_x_m", "true_y_m")[rows]
-    known = np.isfinite(true).all(axis=1)
-    times, places = paths.of_tag(tag) if tag in paths.number else (scored.times[rows][known], true[known])
-    return broken_at_gaps(times, places[:, :2])[1]
-
-
 def track_number(scored: ScoredRecording, tag: str | None) -> int:
     """The number of the track of a tag; of none the one with the largest RMSE."""
     tags = [str(name) for name in scored.first["tag"]]
@@ -161,10 +138,7 @@ def track_number(scored: ScoredRecording, tag: str | None) -> int:
 
 
 def error_over_time(scored: ScoredRecording, tag: str | None = None) -> Chart:
-    """The horizontal position error of a tag over time with its reported standard deviation, or the angle to the truth.
-
-    `tag`: by default the one with the largest RMSE. Raises UnusableInput for an unknown tag.
-    """
+    """The horizontal error of a tag, by default the worst, over time with its standard deviation, or of an angle."""
     rows = scored.rows_of(track_number(scored, tag))
     factor, name = (180 / np.pi, "angle to the truth (°)") if scored.angles else (1.0, "horizontal error (m)")
     error, parts = factor * scored.miss[rows], list[Line]()
@@ -221,7 +195,7 @@ def error_cdf(scored: Runs) -> Chart:
         label = f"{name}: {words} {unit.name}" + (f", {beyond:.1f} % beyond" if beyond >= 1.05 else "")
         parts.append(Line(unit.factor * np.percentile(values, shares), shares, label, LINES[k % len(LINES)]))
     what = "angle to the truth" if is_bearing(first) else "error" if len(errors) > 1 else "horizontal error"
-    ends: dict[str, Any] = {"xlim": (0, unit.factor * end), "ylim": (0, 101), "yticks": SHARES, "width": 6.4}
+    ends: dict[str, Any] = {"xlim": (0, unit.factor * end), "ylim": (0, 101), "yticks": LEVELS, "width": 6.4}
     label = "estimates with at most this error (%)"
     return Chart("error-cdf", "Distribution of errors", f"{what} ({unit.name})", label, parts, **ends)
 
@@ -272,29 +246,24 @@ def _consistency(scored: ScoredRecording, name: str, dof: np.ndarray, slow: str,
 
 
 def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]:
-    """Writes the charts of tracks and their errors into the folder `out`; returns the names of the files.
-
-    `kind`: the ending of the files, png or pdf. Of many recordings those in `tracks.drawn` have charts; all rows
-    together those of errors and coverage.
-    """
+    """Writes the charts of recordings `tracks.drawn`, and of all errors, into a folder, as png or pdf; their names."""
     figures = list[Chart]()
-    for k, why in tracks.drawn.items():
+    for k in tracks.drawn:
         scored, name = tracks.recordings[k], tracks.folders[k].name
         charts = [] if scored.angles else [floor_plan(scored)]
         charts += [error_over_time(scored), nees_over_time(scored)] if np.isfinite(scored.miss).any() else []
         charts.append(nis_over_time(scored))
-        suffix, words = ("" if len(tracks.folders) == 1 else f"-{name}"), f", {name}" + f", {why}" * bool(why)
-        figures += [replace(one, name=one.name + suffix, title=one.title + words) for one in charts if one.parts]
+        suffix = "" if len(tracks.folders) == 1 else f"-{name}"
+        figures += [replace(one, name=one.name + suffix, title=f"{one.title}, {name}") for one in charts if one.parts]
     if tracks.rows["why"].is_null().any():
         figures += [error_cdf(tracks.rows), coverage(tracks.rows)]
     return write_charts(out, figures, kind)
 
 
 class Residuals(NamedTuple):
-    """The residuals (n,) of one column of readings about the estimated and the true positions, NaN where unknown.
+    """The residuals (n,) of one column of readings about the estimates or, of bearings, about the truth.
 
-    `source`, `tag` (n,): numbers of the anchor or station among `sources`, and of the tag among the recording's.
-    `times` (n,): s.
+    `source`, `tag` (n,): numbers of the anchor or station among `sources`, and of the tag. `times` (n,): s.
     """
 
     name: str
@@ -303,12 +272,11 @@ class Residuals(NamedTuple):
     source: np.ndarray
     tag: np.ndarray
     times: np.ndarray
-    estimated: np.ndarray
-    true: np.ndarray
+    values: np.ndarray
 
 
 def residuals(recording: ScoredRecording) -> tuple[list[str], list[Residuals]]:
-    """The tags of the readings, and the residuals of each column; none about estimates that are bearings."""
+    """The tags of the readings, and the residuals of each column that has any."""
     folder, tags, found = recording.folder, list[str](), list[Residuals]()
     for table, kind in KINDS.items():
         if table not in folder.tables or not kind.averaged:
@@ -318,22 +286,19 @@ def residuals(recording: ScoredRecording) -> tuple[list[str], list[Residuals]]:
         tag = rows.of_each(np.array([tags.index(tag) for tag in rows.tags]))
         measured = kind.measured(folder.rig, rows).usable
         measured = measured._replace(values=_without_systematic_errors(folder, measured, rows))
-        sources = list(measured.ids) or [kind.name]
         source = measured.sensors.number[:, 0] if kind.sensors else np.zeros(len(rows.times), int)
-        true, _ = folder.paths.at(rows.tags, rows.starts, rows.times)
-        numbers = measured.errors(_estimated(recording, rows)), measured.errors(true)
-        for column, *parts in zip(measured.columns, *(kind.shown[1] * of.T for of in numbers), strict=True):
-            if np.isfinite(parts).any():
-                name = "fix, " * kind.position + column.rpartition("_")[0].replace("_", " ")
-                found.append(Residuals(name, kind.shown[0].strip(), sources, source, tag, rows.times, *parts))
+        at = folder.paths.at(rows.tags, rows.starts, rows.times)[0] if recording.angles else _estimated(recording, rows)
+        for column, values in zip(measured.columns, kind.shown[1] * measured.errors(at).T, strict=True):
+            if np.isfinite(values).any():
+                name, unit = column.rpartition("_")[0].replace("_", " "), kind.shown[0].strip()
+                of = list(measured.ids) or [kind.name], source, tag, rows.times, values
+                found.append(Residuals("fix, " * kind.position + name, unit, *of))
     return tags, found
 
 
 def _estimated(recording: ScoredRecording, rows: TagRows) -> np.ndarray:
     """The estimated positions (N, 3), m, at the times of the readings, between rows of estimates; else NaN."""
     estimated = np.full((len(rows.times), 3), np.nan)
-    if recording.angles:
-        return estimated
     of_tags = {tag: k for k, tag in enumerate(recording.first["tag"])}
     positions = recording.columns("x_m", "y_m", "z_m")
     for k, tag in ((k, tag) for k, tag in enumerate(rows.tags) if tag in of_tags):
@@ -357,32 +322,3 @@ def _without_systematic_errors(folder: RecordingFolder, measured: Measured, rows
         return known.of_differences(measured.ids, number, values[:, 0])[0][:, None]
     tag = rows.of_each(np.arange(len(rows.tags)))
     return known.of_ranges(measured.ids, number[:, 0], rows.tags, tag, values[:, 0])[0][:, None]
-
-
-def residual_charts(found: Sequence[Residuals]) -> Iterator[Chart]:
-    """Of each column the residuals by anchor or station, as boxes: quartiles, median, and strokes from 5 to 95 %."""
-    for one in found:
-        own, parts = [one.source == k for k in range(len(one.sources))], list[Line]()
-        for values, name, colour, shift in (
-            (one.estimated, "about the estimates", BLUE, -0.18),
-            (one.true, "about the truth", VERMILION, 0.18),
-        ):
-            known = {k + shift: of for k, rows in enumerate(own) if len(of := _finite(values[rows])) >= LEAST}
-            if known:
-                q = np.transpose([np.quantile(of, (0.05, 0.25, 0.5, 0.75, 0.95)) for of in known.values()])
-                x, none = np.array([*known]), np.full(len(known), np.nan)
-                parts.append(
-                    Line(np.stack([x, x, none], 1).ravel(), np.stack([*q[[0, 4]], none], 1).ravel(), "", colour)
-                )
-                sides = np.stack([x - 0.13, x + 0.13, x + 0.13, x - 0.13, none], 1).ravel()
-                ends = np.stack([*q[[1, 1, 3, 3]], none], 1).ravel()
-                parts.append(Line(sides, ends, name, colour, opacity=0.45, filled=True))
-                parts.append(Line(x, q[2], "", colour, 0.0, marker="circle"))
-        by = f" by {'anchor' if one.name == 'range' else 'station'}" * (len(own) > 1)
-        ticks, note = dict(enumerate(one.sources)), "Boxes: median and half of the readings; lines: 90 %."
-        title, label = f"Residuals, {one.name}{by}", f"measured − predicted ({one.unit})"
-        yield Chart(f"residuals-{one.name}", title, "", label, parts, (-0.6, len(own) - 0.4), xticks=ticks, note=note)
-
-
-def _finite(values: np.ndarray) -> np.ndarray:
-    return values[np.isfinite(values)]

@@ -22,14 +22,11 @@ from trackwright.trackers.evaluation.rows import is_scored
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-HEIGHT = 900
-"""Height of the page in a notebook, pixels; it scrolls."""
-
 
 def _plot(chart: Callable[..., Chart], needs_truth: bool = True) -> Callable[..., Axes]:
     """The chart of estimates, or of several by name, and their recording, on the axes `ax` or new ones."""
 
-    def plot(estimates: Any, recording: AnyRecording | None = None, *more: Any, ax: Any = None, **named: Any) -> Axes:
+    def plot(estimates: Any, recording: AnyRecording, *more: Any, ax: Any = None, **named: Any) -> Axes:
         several, runs = isinstance(estimates, Mapping), {}
         for name, run in (estimates if several else {"": estimates}).items():
             runs[name] = scored_tracks(run, recording, needs_truth).recordings[0]
@@ -51,17 +48,14 @@ nis_over_time = _plot(charts.nis_over_time, needs_truth=False)
 
 @dataclass(frozen=True)
 class Playback:
-    """An interactive page of estimates, which a notebook shows; `save` writes it as a file for a browser.
-
-    `html`: its text, about 5 MB, most of it the plotting library.
-    """
+    """A page of estimates, about 5 MB, which a notebook shows; `save` writes it as a file for a browser."""
 
     title: str
     html: str = field(repr=False)
 
     def _repr_html_(self) -> str:
-        style = f"width:100%;height:{HEIGHT}px;border:0"
-        return f'<iframe title="{escape(self.title)}" srcdoc="{escape(self.html)}" style="{style}"></iframe>'
+        style = 'style="width:100%;height:900px;border:0"'
+        return f'<iframe title="{escape(self.title)}" srcdoc="{escape(self.html)}" {style}></iframe>'
 
     def save(self, path: Path | str) -> Path:
         """Writes the page, whole or not at all; returns its path."""
@@ -69,10 +63,7 @@ class Playback:
 
 
 def playback(estimates: AnyEstimates | Mapping[str, AnyEstimates], recording: AnyRecording) -> Playback:
-    """The page with floor plan, time slider, linked charts and residuals; of several runs by name, with a selector.
-
-    A recording without truth has a page without errors.
-    """
+    """The page with floor plan, time slider, linked charts and residuals; of several runs by name, with a selector."""
     runs = estimates if isinstance(estimates, Mapping) else {"": estimates}
     data = []
     for name, run in runs.items():

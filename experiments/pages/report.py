@@ -18,12 +18,12 @@ from trackwright.trackers.recordings.atomic import atomic_write
 
 def report_page(
     kind: str, title: str, summary: Sequence[str], sections: Sequence[Section], commands: Sequence[str],
-    foot: str = "", warnings: Sequence[str] = (),
+    warnings: Sequence[str] = (),
 ) -> str:  # fmt: skip
     """A report: a `summary` in paragraphs, warnings, sections, without those that are empty, and commands as typed."""
     shown = [section for section in sections if section.rows or any(section.parts)]
     moving = any(isinstance(part, list) and part for section in shown for part in section.parts)
-    told = {"summary": [*filter(None, summary)], "warnings": warnings, "commands": commands, "foot": foot}
+    told = {"summary": [*filter(None, summary)], "warnings": warnings, "commands": commands}
     return page("report.html", kind=kind, title=title, sections=shown, moving=moving, **told)
 
 
@@ -41,11 +41,9 @@ def page(template: str, **content: Any) -> str:
     return made.get_template(template).render(**content)
 
 
-def _cell(text: str) -> str | Markup:
-    """A table cell's text with true minus signs; its interval is kept on one line."""
-    text = re.sub(r"(?<![\w.-])-(?=\d)", "\u2212", text)
-    match = re.fullmatch(r"(\S+) (\(\S+ … \S+\))", text)
-    return text if match is None else Markup('{} <span class="interval">{}</span>').format(*match.groups())
+def _cell(text: str) -> str:
+    """A table cell's text with true minus signs."""
+    return re.sub(r"(?<![\w.-])-(?=\d)", "\u2212", text)
 
 
 def _plotting_script() -> Markup:

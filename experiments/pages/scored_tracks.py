@@ -11,11 +11,9 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.text.wording import SHOWN, length_unit
 from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.data.seconds import zero_of
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
@@ -92,10 +90,7 @@ class ScoredRecording:
         return zero_of(first_time(tables) if tables else float(np.min(self.times, initial=np.inf)))
 
     def components(self) -> list[Component]:
-        """x, y and z, m, or azimuth and elevation, °, of all rows; a direction in an array's plane is one angle.
-
-        Heights without a standard deviation, as known ones, are left out.
-        """
+        """x, y and an estimated z, m, or azimuth and elevation, °; a direction in an array's plane is one angle."""
         names = ANGLES if self.angles else AXES
         values, errors, sigmas = (self.columns(*(kind + name for name in names)) for kind in ("", "error_", "std_"))
         sigmas[sigmas == 0] = np.nan
@@ -135,11 +130,11 @@ class ScoredTracks:
     batches: Sequence[TrackerBatch]
 
     @cached_property
-    def drawn(self) -> dict[int, str]:
-        """The numbers of the recordings with figures, and why these: all, or the worst, the median and the best."""
+    def drawn(self) -> list[int]:
+        """The numbers of the recordings with figures: all, or the worst, the median and the best."""
         names = self.rows["recording"].unique(maintain_order=True)
         rmse = dict(zip(names, rmse_by(self.rows, "recording"), strict=True))
-        return drawn_of(np.array([rmse.get(of.name, np.nan) for of in self.folders]), is_bearing(self.rows))
+        return drawn_of(np.array([rmse.get(of.name, np.nan) for of in self.folders]))
 
     @cached_property
     def recordings(self) -> list[ScoredRecording]:
@@ -163,34 +158,25 @@ def rmse_by(rows: pl.DataFrame, key: str) -> np.ndarray:
     return float_column(rows.group_by(key, maintain_order=True).agg(rmse=rmse), "rmse")
 
 
-def scored_tracks(estimates: AnyEstimates, recording: AnyRecording | None, truth: bool = False) -> ScoredTracks:
-    """The estimates of one recording, in arrays too, with their errors where it has a truth.
-
-    Without a recording those of the only one in the estimates. Raises UnusableInput without a truth where `truth` asks
-    for one, and for estimates of several recordings without one given.
-    """
+def scored_tracks(estimates: AnyEstimates, recording: AnyRecording, truth: bool = False) -> ScoredTracks:
+    """The estimates of one recording, in arrays too, with their errors; `truth`: refused where it has none."""
     table = estimates.to_polars()
-    names = table["recording"].unique().to_list() if recording is None else [recording.name]
-    if len(names) != 1:
-        raise UnusableInput(f"plot: found estimates of {len(names)} recordings; expected a recording beside them")
-    if recording is not None and (truth or truths_of(recording)):
+    if truth or truths_of(recording):
         rows = rows_of(estimates, recording)
     else:
         rows = scored_rows(table if "tag" in table.columns else table.with_columns(tag=pl.lit("")), {})
     # A recording in arrays has no installation and no tables of readings.
-    none = RecordingFolder(names[0], None, Rig(names[0]), {})
+    none = RecordingFolder(recording.name, None, Rig(recording.name), {})
     folder = recording if isinstance(recording, RecordingFolder) else none
     return ScoredTracks(rows, [folder], estimates.batches if isinstance(estimates, Tracks) else ())
 
 
-def drawn_of(rmse: np.ndarray, angles: bool, most: int = DRAWN) -> dict[int, str]:
-    """The numbers of the recordings or tracks that are drawn, by their RMSE (n,) in m or, of directions, rad, and why.
+def drawn_of(rmse: np.ndarray, most: int = DRAWN) -> list[int]:
+    """The numbers of the recordings or tracks that are drawn, by their RMSE (n,).
 
     All of few; of more than `most` the worst, the median and the best, or the first where fewer than three have a RMSE.
     """
     ranked = [k for k in np.argsort(-np.nan_to_num(rmse, nan=-1.0), kind="stable").tolist() if np.isfinite(rmse[k])]
     if len(rmse) <= most or len(ranked) < 3:
-        return dict.fromkeys(range(min(len(rmse), most)), "")
-    unit, scale = SHOWN["rad"] if angles else length_unit(float(rmse[ranked[0]]))
-    chosen = {"worst": ranked[0], "median": ranked[(len(ranked) - 1) // 2], "best": ranked[-1]}
-    return {k: f"{word} of {len(ranked)}, RMSE {scale * rmse[k]:.3g} {unit}" for word, k in chosen.items()}
+        return list(range(min(len(rmse), most)))
+    return [ranked[0], ranked[(len(ranked) - 1) // 2], ranked[-1]]

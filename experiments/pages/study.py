@@ -26,8 +26,6 @@ from trackwright.experiments.text.wording import Unit, heading, units_of, yes_no
 from trackwright.trackers.recordings.atomic import json_text
 
 REPORT = "report.html"
-DECADES = 30.0
-"""Ratio of the largest to the smallest value from which an axis is logarithmic."""
 
 
 def study_page(results: Results, expected: Sequence[Claim], command: Sequence[str]) -> str:
@@ -58,8 +56,7 @@ def to_text(results: Results, expected: Sequence[Claim]) -> str:
 
 
 def study_charts(results: Results) -> list[Chart]:
-    """The chart of the first metric that has values, with intervals: along the grid where that is one list of numbers,
-    else by condition."""
+    """The chart of the first metric with values and intervals, along a grid of one list of numbers, or by condition."""
     study, units = results.study, _units(results)
     for metric, found in results.main_metrics().items():
         known = {k: np.array(v.times(units[metric].factor)) for k, v in found.items() if np.isfinite(v.value)}
@@ -86,16 +83,12 @@ def study_charts(results: Results) -> list[Chart]:
             ends = np.stack([low, high, none], 1).ravel()
             parts.append(Line(ends, np.repeat(place, 3), "", colour, 3.0, opacity=0.35))
             parts.append(Line(middle, place, name, colour, 0.0, marker="circle"))
-    log = is_logarithmic(np.concatenate([*known.values()]), DECADES)
-    limits, title = (None, None) if log else (0.0, None), title[0].upper() + title[1:]
+    title = title[0].upper() + title[1:]
     if numeric:
-        logs = "x" * is_logarithmic(grid[along], 8.0) + "y" * log
-        return [Chart(metric, title, short(along), "", parts, ylim=limits, log=logs)]
-    count, names = len(study.conditions), {c.index: c.label for c in study.conditions}
-    height = max(1.6, 1.1 + 0.16 * len(known))
-    return [
-        Chart(metric, title, "", "", parts, limits, (count - 0.4, -0.6), log="x" * log, yticks=names, height=height)
-    ]
+        log = "x" * is_logarithmic(grid[along], 8.0)
+        return [Chart(metric, title, short(along), "", parts, ylim=(0, None), log=log)]
+    names, height = {c.index: c.label for c in study.conditions}, max(1.6, 1.1 + 0.16 * len(known))
+    return [Chart(metric, title, "", "", parts, (0, None), (len(names) - 0.4, -0.6), yticks=names, height=height)]
 
 
 def _units(results: Results) -> dict[str, Unit]:
@@ -128,21 +121,19 @@ def metrics_section(results: Results) -> Section:
 def expected_sections(expected: Sequence[Claim]) -> list[Section]:
     """The printed numbers beside ours, and the conclusions."""
     rows = [
-        [r.quantity, f"{r.printed:g}\u00a0{r.unit}", with_interval(r.ours, Unit(r.unit, 1.0)),
-         ratio_text(r.ratio, r.compares_rest), r.origin, yes_no(r.reached), r.note]
+        [r.quantity, r.note, f"{r.printed:g}\u00a0{r.unit}", with_interval(r.ours, Unit(r.unit, 1.0)),
+         ratio_text(r.ratio, r.compares_rest), r.origin, yes_no(r.reached)]
         for r in expected if isinstance(r, ExpectedResult)
     ]  # fmt: skip
     note = (
         "Fitted: parameters or a choice were adjusted to the printed value; derived: it follows from other numbers and "
         "is not judged again; predicted: neither. Shares above one half are compared by the rest."
     )
-    head = ["result", "printed", "ours (95 % interval)", "ours / printed", "origin", "within tolerance", "remark"]
-    looks = {"ours (95 % interval)": "after", "within tolerance": "answer", "remark": "long"}
-    held = [[c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)]
-    answers = {"origin": "", "holds": "answer", "evidence": "long"}
+    head = ["result", "remark", "printed", "ours (95 % interval)", "ours / printed", "origin", "within tolerance"]
+    held = [[c.statement, c.evidence, c.origin, yes_no(c.holds)] for c in expected if isinstance(c, Conclusion)]
     return [
-        Section("Printed and reproduced results", head, rows, 1, note, looks),
-        Section("Conclusions", ["conclusion", *answers], held, 4, "", answers),
+        Section("Printed and reproduced results", head, rows, 2, note),
+        Section("Conclusions", ["conclusion", "evidence", "origin", "holds"], held, 2),
     ]
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.pages.chart import numbers
-from trackwright.experiments.pages.charts import coverage, error_cdf, residual_charts, residuals
+from trackwright.experiments.pages.charts import coverage, error_cdf, residuals
 from trackwright.experiments.pages.report import page, write_page
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks
-from trackwright.experiments.text.tables import Section
-from trackwright.experiments.text.wording import SCALES, fixed, shown_metric
+from trackwright.experiments.text.tables import Section, cells, title_of
+from trackwright.experiments.text.wording import length_unit, shown_metric
 from trackwright.trackers.core.data.seconds import time_label
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import Evaluation
@@ -36,8 +36,8 @@ MOST_ROWS, MOST_TRACKS, MOST_POINTS, MOST_EVENTS = 25_000, 300, 12_000, 1_000
 MOST_RECORDINGS, MOST_LISTED = 60, 40
 """The most recordings of a page, and the most tracks in its table: those with the largest errors."""
 
-HEADED = {"m": ", m", "m²": ", m²", "rad": ", °", "s": ", s"}
-"""The units in headings of columns, by those in which metrics are stored."""
+NO_EVENTS = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
+"""The events of estimates that were not tracked here."""
 
 FAR_M = 500.0
 """Distance from the origin, m, from which the page holds positions relative to another one."""
@@ -65,8 +65,7 @@ def run_data(
 ) -> dict[str, Any]:
     """Everything that the page shows of one tracker, within limits on rows, tracks and residuals of all together.
 
-    `evaluation`: None without truth. `tracker`: what it is; `name`: its name where the page has `of` trackers, more
-    than one.
+    `evaluation`: None without truth. `tracker`: what it is; `name`: its name where the page has `of` trackers.
     """
     shown, listed, recordings = tracks.recordings[:MOST_RECORDINGS], list[Mapping[str, Any]](), []
     total = of * max(sum(len(recording.times) for recording in shown), 1)
@@ -96,20 +95,13 @@ def _metrics(runs: Sequence[Mapping[str, Any]]) -> Section:
     keys = [(line["recording"], line["tag"], line["station"]) for line in lines]
     order = {key: k for k, key in enumerate(dict.fromkeys(sorted(keys, key=lambda key: key[1] is not None)))}
     lines = [lines[k] for k in sorted(range(len(lines)), key=lambda k: order[keys[k]])]
-    labels = ["recording", "tag", "station", *["tracker"] * (len(runs) > 1)]
-    labels = [name for name in labels if any(line[name] for line in lines)]
+    labels = [name for name in ("recording", "tag", "station", "tracker") if any(line[name] for line in lines)]
     columns = [metric for metric in METRICS.values() if metric.page and any(metric.name in line for line in lines)]
-    titles = (metric.short.replace("\n/", "/").replace("\n", " ") + HEADED.get(metric.unit, "") for metric in columns)
-    rows = []
-    for line in lines:
-        cells = []
-        for metric in columns:
-            factor, digits = SCALES.get(metric.unit, (1.0, 3))
-            value = factor * line.get(metric.name, math.nan)
-            cells.append(fixed(value, 0 if abs(value) >= 1e4 else digits))
-        rows.append([*(line[name] or "" for name in labels), *cells])
-    note = "Each recording, and the tracks with the largest errors."
-    return Section("Metrics", [*labels, *titles], rows, len(labels), note)
+    unit = length_unit(min((line["rmse_m"] for line in lines if "rmse_m" in line), default=math.nan))
+    rows = [[*(line[name] or "" for name in labels), *cells(line, columns, unit)] for line in lines]
+    head = [*labels, *(title_of(metric).replace("\n", " ") for metric in columns)]
+    note = f"Lengths in {unit.name}, angles in degrees: each recording, and the tracks with the largest errors."
+    return Section("Metrics", head, rows, len(labels), note)
 
 
 def recording_data(recording: ScoredRecording, most_rows: int, most_tracks: int, most_points: int) -> dict[str, Any]:
@@ -144,16 +136,15 @@ def recording_data(recording: ScoredRecording, most_rows: int, most_tracks: int,
     tags, found = residuals(recording)
     every = max(1, -(-sum(len(one.times) for one in found) // most_points))
     channels = [
-        {"name": one.name, "unit": one.unit, "sources": one.sources, "points": _packed({
-            "t": one.times - start, "tag": one.tag, "source": one.source,
-            "value": one.estimated if np.isfinite(one.estimated).any() else one.true}, every)}
+        {"name": one.name, "unit": one.unit, "sources": one.sources, "points": _packed(
+            {"t": one.times - start, "tag": one.tag, "source": one.source, "value": one.values}, every)}
         for one in found
     ]  # fmt: skip
     axes = [
         {"name": c.name, "unit": c.unit, "value": f"v{k}", "error": f"e{k}", "sigma": f"s{k}"}
         for k, c in enumerate(recording.components())
     ]
-    charts = [*residual_charts(found), *([error_cdf(recording)] if np.isfinite(recording.miss).any() else [])]
+    charts = [error_cdf(recording)] if np.isfinite(recording.miss).any() else []
     charts += [coverage(recording)] if np.isfinite(float_column(recording.rows, "nees")).any() else []
     return {
         "name": folder.name, "start": start - recording.zero, "end": end - recording.zero,
@@ -173,21 +164,20 @@ def drawn_tracks(worst_first: list[int], most: int) -> list[int]:
 
 
 def drawn_rows(lengths: np.ndarray, weight: np.ndarray, most: int) -> np.ndarray:
-    """The rows that are drawn, ascending: all, or the first, the last and those with the largest weight of each block.
+    """The rows that are drawn, ascending: all, or about `most`, the first and that of the largest weight of each block.
 
-    Blocks of equal length; `lengths` (g,): rows of each track; `weight` (n,): the size of the error, NaN as zero. About
-    `most` rows, two of each block at least.
+    `lengths` (g,): rows of each track, whose last are drawn, too; `weight` (n,): the size of the error.
     """
     n = int(lengths.sum())
     if n <= most:
         return np.arange(n)
     size = -(-2 * n // max(most - 2 * len(lengths), 2))
-    first = np.cumsum(lengths) - lengths
-    within = np.arange(n) - np.repeat(first, lengths)
-    begins = np.flatnonzero(within % size == 0)
-    block = np.repeat(np.arange(len(begins)), np.diff(np.append(begins, n)))
-    order = np.lexsort((-np.nan_to_num(weight), block))
-    return np.unique(np.concatenate([begins, order[begins], first + lengths - 1]))
+    track, ends = np.repeat(np.arange(len(lengths)), lengths), np.cumsum(lengths)
+    block = (np.arange(n) - (ends - lengths)[track]) // size
+    rows = pl.DataFrame({"row": np.arange(n), "track": track, "block": block, "weight": np.nan_to_num(weight)})
+    row = pl.col("row")
+    kept = rows.group_by("track", "block").agg(first=row.first(), peak=row.get(pl.col("weight").arg_max()))
+    return np.unique(np.concatenate([kept["first"], kept["peak"], ends - 1]))
 
 
 def packed(values: np.ndarray, kind: str = "f4") -> dict[str, str]:

@@ -27,9 +27,8 @@ class Value(NamedTuple):
 class Origin(StrEnum):
     """How free a number or a conclusion was to differ from the paper's.
 
-    FITTED: the world or a tracker was adjusted to it, or a choice was made after seeing it. DERIVED: it follows from
-    other numbers, by a formula, by symmetry or because it is printed twice; it is shown and not counted again.
-    PREDICTED: neither.
+    FITTED: the world, a tracker or a choice was adjusted to it. DERIVED: it follows from other numbers; it is shown and
+    not counted again. PREDICTED: neither.
     """
 
     FITTED = "fitted"
@@ -102,34 +101,30 @@ def with_interval(value: Value, unit: Unit = NO_UNIT) -> str:
 
 
 def fixed_interval(value: Value, form: str, unit: str = "") -> str:
-    """A value and its interval by a number format such as `+.1f`, the unit after the value."""
+    """A value and its interval by a number format as `+.1f`, the unit after the value."""
     return f"{value.value:{form}}{unit} ({value.low:{form}} … {value.high:{form}})"
 
 
 def listed(values: Mapping[str, float | Value], form: str) -> str:
-    """Names with their values, which are formatted by a text such as `{:.1f} cm`."""
-    plain = {name: v.value if isinstance(v, Value) else v for name, v in values.items()}
-    return ", ".join(f"{name} {form.format(v)}" for name, v in plain.items())
+    """Names with their values, which are formatted by a text as `{:.1f} cm`."""
+    return ", ".join(f"{k} {form.format(v.value if isinstance(v, Value) else v)}" for k, v in values.items())
 
 
 def headline(numbers: Iterable[tuple[str, bool | None]], conclusions: Iterable[tuple[str, bool]]) -> str:
-    """How many numbers and conclusions are predicted, fitted and derived, and how many of them are reached or hold.
-
-    `numbers`: origin, and whether the number is reached, None where it is not judged. `conclusions`: origin, and
-    whether they hold.
-    """
-    numbers, conclusions, sentences = list(numbers), list(conclusions), []
+    """How many numbers, by origin, are reached, None where they are not judged, and how many conclusions hold."""
+    of_numbers, of_conclusions, sentences = list(numbers), list(conclusions), []
     for origin in reversed(Origin):
         derived = origin is Origin.DERIVED
-        ours = [bool(true) for of, true in numbers if of == origin and (derived or true is not None)]
-        held = [true for of, true in conclusions if of == origin]
-        counts = counted(len(ours), "number"), counted(len(held), "conclusion")
+        ours = [bool(true) for of, true in of_numbers if of == origin and (derived or true is not None)]
+        held = [true for of, true in of_conclusions if of == origin]
+        parts = [counted(len(ours), "number")] * bool(ours) + [counted(len(held), "conclusion")] * bool(held)
         if derived:
-            parts = [count for count, of in zip(counts, (ours, held), strict=True) if of]
-            sentences += [f"Derived, not counted: {', '.join(parts)}."] if parts else []
+            sentences += [f"Derived, not counted: {', '.join(parts)}."] * bool(parts)
             continue
-        parts = [f"{sum(ours)} of {counts[0]} within tolerance"] if ours else []
-        parts += [f"{sum(held)} of {counts[1]} {'holds' if sum(held) == 1 else 'hold'}"] if held else []
+        if ours:
+            parts[0] = f"{sum(ours)} of {parts[0]} within tolerance"
+        if held:
+            parts[-1] = f"{sum(held)} of {parts[-1]} {'holds' if sum(held) == 1 else 'hold'}"
         if parts or origin is Origin.PREDICTED:
             sentences.append(f"{origin.capitalize()}: {'; '.join(parts) or 'nothing'}.")
     return " ".join(sentences)

@@ -6,9 +6,9 @@ import io
 import math
 import shutil
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import polars as pl
 from rich import box
@@ -16,13 +16,9 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 
 from trackwright.experiments.text.wording import SCALES, SHOWN, Unit, fixed, length_unit, shown_metric
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics
 from trackwright.trackers.evaluation.metrics import METRICS, Metric
 from trackwright.trackers.recordings.atomic import atomic_write, json_text
-
-if TYPE_CHECKING:
-    from trackwright.trackers.exchange.trajectories import Statistics, TrajectoryErrors
 
 UNLIMITED = 100_000
 """Characters a line where a table is not to be wrapped."""
@@ -39,8 +35,7 @@ _STATISTICS = ("rmse", "mean", "median", "std", "min", "max")
 class Section(NamedTuple):
     """A part of a report, for a terminal and a page: title, table and note; the first `n_text` columns are text.
 
-    `looks`: classes of columns on a page by their heads, as in the template `parts.html`. `parts`: what follows on a
-    page alone: texts, names with texts, and groups of charts.
+    `parts`: what follows on a page alone: texts, names with texts, and groups of charts.
     """
 
     title: str
@@ -48,13 +43,7 @@ class Section(NamedTuple):
     rows: Sequence[Sequence[str]] = ()
     n_text: int = 1
     note: str = ""
-    looks: Mapping[str, str] = {}
     parts: Sequence[Any] = ()
-
-    @property
-    def classes(self) -> list[str]:
-        """The classes of the columns on a page."""
-        return [self.looks.get(name, "text" if 0 < k < self.n_text else "") for k, name in enumerate(self.head)]
 
     def table(self) -> Table:
         """The table for a terminal: text, aligned left, may be wrapped."""
@@ -118,12 +107,6 @@ def replace_tables(page: Path, name: str, text: str) -> None:
     before, _, rest = page.read_text("utf-8").partition(begin)
     new = f"{before}{begin}\n\n{text}\n{end}{rest.partition(end)[2]}"
     atomic_write(page, lambda path: path.write_text(new, "utf-8"))
-
-
-def require_page(page: Path) -> None:
-    """Raises UnusableInput for a page that is none: before hours are spent on its tables."""
-    if not page.is_file():
-        raise UnusableInput(f"{page}: no such page; expected one with the marks of tables, as docs/performance.md")
 
 
 def to_json(evaluation: Evaluation) -> str:
@@ -218,36 +201,33 @@ def title_of(column: Metric) -> str:
     return f"{column.short}\ns" if column.unit == "s" else column.short
 
 
-def pose_errors_text(compared: Sequence[TrajectoryErrors], align: str, width: int) -> str:
-    """The errors of each track, a row for each kind of error, and what was done to the estimates before."""
-    worst = sorted(compared, key=lambda track: -track.ape_m["rmse"])[:SHOWN_TRACKS]
-    unit, rows = length_unit(worst[0].ape_m["rmse"]), []
-    for track in worst:
-        for label, name, factor, of in _rows(track, unit.name, unit.factor):
-            digits = unit.digits + 1 if name == unit.name else 3
-            numbers = (fixed(of[k] * factor, digits) for k in _STATISTICS)
-            rows.append([track.tag, label, name, str(of["n"]), *numbers])
+def pose_errors_text(compared: Sequence[Any], align: str, width: int, fitted_offset: bool = False) -> str:
+    """The errors of each track, a row for each kind of error, and what was done to the estimates before.
+
+    `compared`: of each track, what `to_dict` gives. `fitted_offset`: whether the time offset is the one that fits best.
+    """
+    tracks, rows = sorted((one.to_dict() for one in compared), key=lambda of: -of["ape_m"]["rmse"]), []
+    unit = length_unit(tracks[0]["ape_m"]["rmse"])
+    for of in tracks[:SHOWN_TRACKS]:
+        steps = [(f"RPE {step}", found, of["rpe_rad"].get(step)) for step, found in of["rpe_m"].items()]
+        for label, lengths, angles in (("APE", of["ape_m"], of["ape_rad"]), *steps):
+            for name, found, (shown, factor), digits in (
+                (label, lengths, unit, unit.digits + 1),
+                (f"{label}, angle", angles, Unit("deg", 180 / math.pi), 3),
+            ):
+                if found is not None:
+                    numbers = (fixed(found[k] * factor, digits) for k in _STATISTICS)
+                    rows.append([of["tag"], name, shown, str(found["n"]), *numbers])
     table = Section("Absolute and relative pose errors", ["tag", "error", "unit", "n", *_STATISTICS], rows, 2).table()
-    scales = [e.alignment.scale for e in compared]
-    scale = " to ".join(dict.fromkeys((f"{min(scales):.6g}", f"{max(scales):.6g}")))
-    scale = "" if scale == "1" else f", scale {scale}"
-    notes = {
-        f"As evo: {sum(e.pairs for e in compared)} of {sum(e.possible for e in compared)} poses have a true one "
-        f"within {worst[0].time_tolerance_s:g} s; time offset {worst[0].time_offset_s:.12g} s; "
-        f"alignment {align}{scale}.": True,
-        "The errors in the first table are of all rows, at the time of each, by the truth interpolated there.": True,
-        "APE and RPE are horizontal: a height is unknown.": any(e.planar for e in compared),
-        f"At most {SHOWN_TRACKS} tracks are listed, those with the largest APE.": len(compared) > SHOWN_TRACKS,
-    }
-    return rendered(width, table, *(note for note, holds in notes.items() if holds))
-
-
-def _rows(errors: TrajectoryErrors, unit: str, factor: float) -> Iterator[tuple[str, str, float, Statistics]]:
-    """Of each error: its name, its unit, the factor to it, and its statistics."""
-    yield "APE", unit, factor, errors.ape_m
-    if errors.ape_rad is not None:
-        yield "APE, angle", "deg", 180 / math.pi, errors.ape_rad
-    for step, statistics in errors.rpe_m.items():
-        yield f"RPE {step}", unit, factor, statistics
-        if step in errors.rpe_rad:
-            yield f"RPE {step}, angle", "deg", 180 / math.pi, errors.rpe_rad[step]
+    pairs, possible = (sum(of[key] for of in tracks) for key in ("pairs", "possible"))
+    offsets = {f"{round(of['time_offset_s'], 4):.12g}" for of in tracks}
+    scales = {f"{of['alignment']['scale']:.6g}" for of in tracks}
+    scale = "" if scales == {"1"} else f", scale {' to '.join(sorted(scales))}"
+    notes = (
+        f"As evo: {pairs} of {possible} poses have a true pose within {tracks[0]['time_tolerance_s']:g} s; time offset "
+        f"{' to '.join(sorted(offsets))} s; alignment {align}{scale}.",
+        "The fitted time offset holds the delay of a filter, too." if fitted_offset else "",
+        "APE and RPE are horizontal: a height is unknown." if any(of["planar"] for of in tracks) else "",
+        f"The {SHOWN_TRACKS} tracks with the largest APE are listed." if len(tracks) > SHOWN_TRACKS else "",
+    )
+    return rendered(width, table, *filter(None, notes))

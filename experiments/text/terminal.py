@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from threading import Event, Thread
 from time import monotonic
-from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -26,16 +25,11 @@ def notice(text: str) -> None:
     ERRORS.print(one_line(text), markup=False)
 
 
-class Advance(Protocol):
-    """Advances the bar of a stage by `done`; `now` is appended to its name."""
+Advance = Callable[..., None]
+"""`advance(done, now="")` advances the bar of a stage by `done`; `now` is appended to its name."""
 
-    def __call__(self, done: int, now: str = "") -> None: ...
-
-
-class Begin(Protocol):
-    """Begins a stage, which ends the one before; `total`: of its bar, none where that is unknown."""
-
-    def __call__(self, name: str, total: int | None = None) -> Advance: ...
+Begin = Callable[..., Advance]
+"""`begin(name, total=None)` begins a stage, which ends the one before; `total`: of its bar, None if unknown."""
 
 
 @contextmanager

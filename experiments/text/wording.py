@@ -12,11 +12,7 @@ from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.metrics import ERROR_KINDS, METRICS
 
 MISSING = "–"
-STUDIES = {
-    "bound_m": "Cramér–Rao bound",
-    "bound_3d_m": "Cramér–Rao bound in 3-D",
-    "us_per_row": "computing time per row",
-}
+STUDIES = {"bound_m": "Cramér–Rao bound", "bound_3d_m": "Cramér–Rao bound in 3-D", "us_per_row": "time per row"}
 """The metrics of a study that are no metrics of scores."""
 
 SUFFIXES = {**ERROR_KINDS, "m": "", "rad": "", "m2": "", "s": "", "share": ""}
@@ -86,12 +82,8 @@ def heading(metric: str, unit: Unit = NO_UNIT, space: str = " ") -> str:
 
 
 def number(value: float) -> str:
-    """Four significant digits with a true minus sign; a dash for NaN and infinities."""
-    if not math.isfinite(value):
-        return MISSING
-    mantissa, _, exponent = f"{value:.4g}".partition("e")
-    powers = str(int(exponent or 0)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return mantissa.replace("-", "−") + (f"·10{powers}" if exponent else "")
+    """Four significant digits; a dash for NaN and infinities."""
+    return f"{value:.4g}" if math.isfinite(value) else MISSING
 
 
 def fixed(value: float | None, digits: int) -> str:
@@ -107,11 +99,6 @@ def rounded(value: float, spread: float) -> str:
         return "0"
     size = spread / 2 if math.isfinite(spread) and spread > 0 else abs(value) / 10
     return f"{value:.{min(max(1 - math.floor(math.log10(size) + 0.5), 0), 6)}f}"
-
-
-def duration(seconds: float) -> str:
-    """Seconds or minutes with one digit after the point."""
-    return f"{seconds:.1f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
 
 
 def figures_drawn(names: Sequence[str]) -> str:

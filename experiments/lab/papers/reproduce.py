@@ -18,7 +18,7 @@ from trackwright.experiments.lab.runner import new_interpreter
 from trackwright.experiments.monte_carlo import Value
 from trackwright.experiments.monte_carlo.sources import available_studies, load_study
 from trackwright.experiments.text.expectations import headline, ratio_text, with_interval
-from trackwright.experiments.text.tables import markdown, replace_tables, require_page
+from trackwright.experiments.text.tables import markdown, replace_tables
 from trackwright.experiments.text.terminal import notice, progress
 from trackwright.experiments.text.wording import Unit
 
@@ -35,7 +35,6 @@ def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
         out: the folder of the studies.
         results: the page.
     """
-    require_page(results)
     chosen = [study for study in map(load_study, available_studies()) if study.expected is not None]
     contents, failed, seconds = [], [], 0.0
     with progress("papers", len(chosen)) as advance:

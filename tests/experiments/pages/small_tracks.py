@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 
-from trackwright.experiments.pages.comparison import Run
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.evaluation.rows import scored_rows
@@ -18,11 +17,8 @@ BIAS = 0.25
 """Bias of the ranges to anchor 2, m."""
 
 
-def small_tracks(rows: int = 80, tags: tuple[str, ...] = TAGS, seed: int = 1, later: float = 0.0) -> ScoredTracks:
-    """Tracks whose errors are normal with the reported covariance, twice as large for each further tag.
-
-    `later`: s, added to all times.
-    """
+def small_tracks(rows: int = 80, tags: tuple[str, ...] = TAGS, seed: int = 1) -> ScoredTracks:
+    """Tracks whose errors are normal with the reported covariance, twice as large for each further tag."""
     rng = np.random.default_rng(seed)
     times = 3.0 + 0.1 * np.arange(rows)
     estimates, truths, ranges = [], [], []
@@ -31,19 +27,17 @@ def small_tracks(rows: int = 80, tags: tuple[str, ...] = TAGS, seed: int = 1, la
         sigma = 0.05 * 2.0 ** (k % 5)
         error = rng.multivariate_normal([0, 0], sigma**2 * np.array([[1, 0.3], [0.3, 0.5]]), rows)
         at = true + np.pad(error, ((0, 0), (0, 1)))
-        key = {"recording": "hall", "tag": tag, "t_s": times + later}
+        key = {"recording": "hall", "tag": tag, "t_s": times}
         position = {f"{a}_m": at[:, i] for i, a in enumerate("xyz")}
         spread = {"std_x_m": sigma, "std_y_m": sigma * np.sqrt(0.5), "std_z_m": 0.0, "cov_xy_m2": 0.3 * sigma**2}
         filtered = {"nis": rng.chisquare(2, rows), "nis_dof": 2.0, "status": ["waiting"] + ["ok"] * (rows - 1)}
         estimates.append(pl.DataFrame(key | position | spread | filtered))
-        truths.append(
-            pl.DataFrame({"t_s": times + later, "tag": tag} | {f"{a}_m": true[:, i] for i, a in enumerate("xyz")})
-        )
+        truths.append(pl.DataFrame({"t_s": times, "tag": tag} | {f"{a}_m": true[:, i] for i, a in enumerate("xyz")}))
         for number, (name, place) in enumerate(ANCHORS.items()):
             own = slice(number, None, len(ANCHORS))
             distance = np.linalg.norm(true[own] - place, axis=1) + 0.02 * rng.normal(size=len(true[own]))
             shifted = distance + (BIAS if name == "2" else 0.0)
-            ranges.append(pl.DataFrame({"t_s": times[own] + later, "tag": tag, "anchor": name, "range_m": shifted}))
+            ranges.append(pl.DataFrame({"t_s": times[own], "tag": tag, "anchor": name, "range_m": shifted}))
     tables = {"truth": pl.concat(truths), "ranges": pl.concat(ranges).sort("t_s")}
     rig = Rig("hall", anchors={name: np.array(place) for name, place in ANCHORS.items()})
     folder = RecordingFolder("hall", None, rig, tables)
@@ -61,7 +55,6 @@ def small_bearings(in_plane: bool, rows: int = 60) -> tuple[ScoredTracks, np.nda
     rise = np.zeros(rows) if in_plane else 0.3 * np.sin(times)
     true = np.stack([angle, rise], axis=1)
     estimate = true + np.nan_to_num(sigma) * rng.normal(size=true.shape)
-    # u = (sin az cos el, sin el, cos az cos el) in the array frame, which is that of the world
     if in_plane:
         place = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
         x, y = np.cos(estimate[:, 0]), np.sin(estimate[:, 0])
@@ -86,10 +79,10 @@ def small_bearings(in_plane: bool, rows: int = 60) -> tuple[ScoredTracks, np.nda
     )
 
 
-def small_run(name: str, shifts: dict[str, float]) -> Run:
-    """A run whose error in x, m, is that of each recording."""
+def small_run(shifts: dict[str, float]) -> pl.DataFrame:
+    """The scored rows of a run whose error in x, m, is that of each recording."""
     times = 0.1 * np.arange(30)
     at = {"tag": "1", "t_s": times, "x_m": times, "y_m": times**2, "z_m": 1.0}
     spread = {"std_x_m": 0.1, "std_y_m": 0.1, "std_z_m": 0.0, "cov_xy_m2": 0.0, "nis": 1.0, "nis_dof": 1.0}
     tables = (pl.DataFrame({"recording": k} | at | spread).with_columns(pl.col("x_m") + s) for k, s in shifts.items())
-    return Run(name, {}, rows=scored_rows(pl.concat(tables), dict.fromkeys(shifts, pl.DataFrame(at))))
+    return scored_rows(pl.concat(tables), dict.fromkeys(shifts, pl.DataFrame(at)))

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from trackwright.experiments.pages.calibration import Source, errors_chart
-from trackwright.trackers.recordings.calibration import AnchorCalibration, Calibration
+from trackwright.experiments.pages.calibration import Source
 from trackwright.tuning.calibration_pairs import Pairs
 
 
@@ -20,11 +19,3 @@ def test_a_short_recording_counts_as_much_as_a_long_one_in_the_spread_of_errors(
     assert source.spread(errors) == 1.0
     assert source.spread(np.where(number == 0, errors, np.nan)) == 0.3
     assert np.isnan(source.spread(np.full(6, np.nan)))
-
-
-def test_the_chart_has_the_errors_before_and_after():
-    true, error = np.linspace(1.0, 9.0, 20), np.linspace(-0.3, 0.5, 20)
-    calibration = Calibration(anchors={"A": AnchorCalibration(np.array([0.1, 0.0]), np.eye(2), np.array([0.0, 9.0]))})
-    _, before, after = errors_chart(_source(true, error, np.zeros(20, int)), calibration).parts
-    np.testing.assert_allclose(before.y, 100 * error)
-    np.testing.assert_allclose(after.y, 100 * (error - 0.1))

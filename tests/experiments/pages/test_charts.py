@@ -10,13 +10,11 @@ import pytest
 import scipy.stats
 from matplotlib.image import imread
 
-from tests.experiments.pages.small_tracks import BIAS, small_bearings, small_run, small_tracks
+from tests.experiments.pages.small_tracks import BIAS, TAGS, small_bearings, small_run, small_tracks
 from trackwright.experiments.pages import charts
 from trackwright.experiments.pages.chart import Chart, Line, band, broken_at_gaps, draw, numbers, write
 from trackwright.experiments.pages.comparison import comparison_charts
-from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.rows import scored_rows
 
 mpl.use("Agg")
 
@@ -44,7 +42,7 @@ def scored():
 
 PARTS = [
     band([0, 1, 2, 3, 4], [0, 0, np.nan, 1, 1], [1, 1, 2, 2, 2], "band"),
-    Line([1, 2, np.nan, 4], [10, 20, 30, 40], "<line> $5", marker="circle-open", text=["a", "b"]),
+    Line([1, 2, np.nan, 4], [10, 20, 30, 40], "<line> $5", marker="circle", text=["a", "b"]),
 ]
 CHART = Chart("one", "A <title>", "x (m)", "y", PARTS, ylim=(0.1, 100), log="y", note="a note")
 
@@ -68,12 +66,8 @@ def test_a_chart_has_the_same_numbers_for_a_page_and_for_matplotlib(tmp_path):
         write(CHART, tmp_path / "none" / "one.png")
 
 
-def test_numbers_of_a_chart_have_five_digits_of_their_span():
-    assert numbers([4e6, 4e6 + 1.23456, np.nan, np.inf]) == [4e6, 4000001.2346, None, None]
-    assert numbers([0.000123456, 10.0]) == [0.00012346, 10.0]
-
-
-def test_lines_are_broken_in_gaps_only():
+def test_lines_are_broken_in_gaps_only_and_numbers_have_nine_digits():
+    assert numbers([4e6, 4e6 + 1.23456, np.nan, np.inf]) == [4e6, 4000001.23, None, None]
     at, values = broken_at_gaps(np.array([0.0, 0.1, 0.2, 5.0, 5.1]), np.arange(5.0))
     np.testing.assert_array_equal(values, [0, 1, 2, np.nan, 3, 4])
     assert at[3] == pytest.approx(2.6)
@@ -84,7 +78,7 @@ def test_wild_estimates_are_counted_and_do_not_decide_the_scale_of_the_plan():
     chart = charts.floor_plan(_changed(small_tracks(tags=("A",)), x_m=wild))
     assert chart.xlim[1] < 20
     assert "1 of 80 estimates lie outside the axes." in chart.note
-    assert {"truth", "tag A", "start", "end", "anchor"} == {*_lines(chart)}
+    assert {"truth", "tag A", "anchor"} == {*_lines(chart)}
     assert [*_lines(chart)["anchor"].text] == ["1", "2", "10", "11"]
 
 
@@ -98,17 +92,14 @@ def test_the_ellipses_of_a_plan_hold_95_percent_of_the_reported_normal_distribut
 def test_every_chart_of_a_recording_takes_next_to_no_rows(rows):
     one = small_tracks(rows=rows, tags=("A",)).recordings[0]
     made = [charts.floor_plan(one), charts.error_cdf(one), charts.coverage(one), charts.error_over_time(one)]
-    made += [charts.nis_over_time(one), charts.nees_over_time(one), *charts.residual_charts(charts.residuals(one)[1])]
+    made += [charts.nis_over_time(one), charts.nees_over_time(one)]
     assert all(np.isfinite(draw(chart).get_ylim()).all() for chart in made)
 
 
-def test_errors_over_time_are_those_of_the_rows_since_the_first_reading(scored):
+def test_errors_over_time_are_those_of_the_rows(scored):
     lines, rows = _lines(charts.error_over_time(scored, "A")), scored.rows_of(charts.track_number(scored, "A"))
     np.testing.assert_allclose(lines["error"].y, scored.miss[rows])
     assert np.nanmax(lines["reported standard deviation"].y) == pytest.approx(0.05 * np.sqrt(1.5))
-    unix = charts.error_over_time(small_tracks(later=1777896797.26).recordings[0])
-    assert unix.x == "time (s) since 2026-05-04 12:13:20.26 UTC"
-    assert 7.5 < np.nanmax(_lines(unix)["error"].x) < 8.5
     bearings = small_bearings(False)[0].recordings[0]
     np.testing.assert_allclose(_lines(charts.error_over_time(bearings))["error"].y, np.degrees(bearings.miss))
 
@@ -124,12 +115,6 @@ def test_means_of_nees_over_time_are_those_of_the_rows_in_windows_of_time(scored
     assert not any("band" in name for name in _lines(unknown))
 
 
-@pytest.mark.parametrize("odd", [{"nis": None}, {"nis_dof": 0.0}, {"nis": float("inf")}, {"nis": float("nan")}])
-def test_consistency_takes_odd_rows(odd):
-    one = _changed(small_tracks(tags=("A",)), **{k: pl.lit(v, pl.Float64) for k, v in odd.items()})
-    assert draw(charts.nis_over_time(one)).get_ylabel() == "NIS / dof"
-
-
 def test_the_error_cdf_and_the_coverage_are_shares_of_rows(scored):
     errors = scored.miss[np.isfinite(scored.miss)]
     line = _lines(charts.error_cdf(scored))["horizontal"]
@@ -142,31 +127,18 @@ def test_the_error_cdf_and_the_coverage_are_shares_of_rows(scored):
         assert share == pytest.approx(100 * np.mean(nees <= scipy.stats.chi2.ppf(level / 100, 2)))
 
 
-def test_the_bias_of_an_anchor_is_its_median_residual_about_the_truth(scored):
-    (boxes,) = charts.residual_charts(charts.residuals(scored)[1])
-    medians = [part for part in boxes.parts if part.marker][1]
-    assert [*boxes.xticks.values()] == ["1", "2", "10", "11"]
-    np.testing.assert_allclose(medians.y, [0, BIAS, 0, 0], atol=0.015)
+def test_the_bias_of_an_anchor_is_its_median_residual(scored):
+    tags, (found,) = charts.residuals(scored)
+    assert (tags, found.sources) == ([*TAGS], ["1", "2", "10", "11"])
+    medians = [np.nanmedian(found.values[(found.source == k) & (found.tag == 0)]) for k in range(4)]
+    np.testing.assert_allclose(medians, [0, BIAS, 0, 0], atol=0.03)
 
 
 def test_the_tail_of_one_run_does_not_set_the_axis_of_errors():
-    good, bad = small_run("good", {"a": 0.2}), small_run("bad", {"a": 0.2})
-    last = pl.int_range(len(bad.rows)) == len(bad.rows) - 1
-    bad = replace(bad, rows=bad.rows.with_columns(size_m=pl.when(last).then(50.0).otherwise("size_m")))
-    for runs in ([good, bad], [bad, good]):
+    good = small_run({"a": 0.2})
+    last = pl.int_range(pl.len()) == pl.len() - 1
+    bad = good.with_columns(size_m=pl.when(last).then(50.0).otherwise("size_m"))
+    for runs in ({"good": good, "bad": bad}, {"bad": bad, "good": good}):
         errors, _ = comparison_charts(runs)
         assert errors.xlim[1] < 25  # cm
         assert sorted(part.name.partition(" cm")[2] for part in errors.parts) == ["", ", 3.3 % beyond"]
-
-
-def test_of_many_recordings_three_have_files_and_all_share_one_coverage(tmp_path):
-    one = small_tracks(tags=("A",), rows=30)
-    folders = [replace(one.folders[0], name=f"hall-{k}") for k in range(5)]
-    shifted = [one.rows.with_columns(pl.col("x_m") + 0.2 * k, recording=pl.lit(f.name)) for k, f in enumerate(folders)]
-    truth = one.folders[0].tables["truth"]
-    tracks = ScoredTracks(scored_rows(pl.concat(shifted), {f.name: truth for f in folders}), folders, [])
-    files = charts.plot_tracks(tmp_path, tracks)
-    plans = [name for name in files if name.startswith("floor-plan")]
-    assert sorted(plans) == [f"floor-plan-hall-{k}.png" for k in (0, 2, 4)]
-    assert files.count("coverage.png") == 1
-    assert {path.name for path in tmp_path.iterdir()} == {*files}

@@ -2,112 +2,104 @@
 
 import json
 import re
+from dataclasses import replace
 
 import pytest
 
 from tests.experiments.pages.small_tracks import small_run
-from trackwright.experiments.cli.options import EvaluateOptions
-from trackwright.experiments.cli.track import evaluate_tracks
+from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.experiments.lab.papers.reproduce import evidence, part, tables
-from trackwright.experiments.pages.comparison import comparison, lone_subjects, read_runs
-from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.evaluate import Evaluation
+from trackwright.experiments.pages.comparison import comparison, comparison_charts, lone_subjects, read_runs
+from trackwright.sim import worlds
+from trackwright.trackers.recordings.folder import write_recording
 
 
 def _value(value, width):
     return {"value": value, "low": value - width / 2, "high": value + width / 2}
 
 
-def _evaluation(folder, rmse, kind="position", **more):
-    folder.mkdir()
-    figures = {"rmse_m": rmse, "n": 100, "nees_mean": None} | more
-    content = {"kind": kind, "overall": figures, "recordings": [{"recording": "walk", **figures}]}
-    (folder / "evaluation.json").write_text(json.dumps(content))
-    return folder
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Folders of `track`: of two trackers of positions, of bearings, and of a recording without truth."""
+    there, vehicles = tmp_path_factory.mktemp("runs"), worlds.agv(n=1, seed=1, rows=60).folder()
+    rig, fixes = replace(vehicles.rig, name="blind"), {"fixes": vehicles.tables["fixes"]}
+    blind = replace(vehicles, name="blind", rig=rig, tables=fixes)
+    for name, folder in (("agv", vehicles), ("hand", worlds.station(n=1, seed=1, rows=20).folder()), ("blind", blind)):
+        write_recording(folder, there / name)
+    for name, of in (("fix-kf", "agv"), ("median", "agv"), ("beam", "hand"), ("moving-average", "blind")):
+        said = trackwright("track", there / of, "--tracker", name, *PLAIN, "--out", there / name)
+        assert said.code == 0, said
+    return there
 
 
-@pytest.mark.parametrize(("spatial_nees", "there"), [(None, False), (1.0, True)])
-def test_errors_in_3d_have_a_column_only_where_the_height_is_estimated(tmp_path, spatial_nees, there):
-    more = {"rmse_3d_m": 0.2, "nees_ratio": 1.1, "nees_3d_ratio": spatial_nees}
-    table = comparison(read_runs([_evaluation(tmp_path / name, 0.2, **more) for name in "ab"])[0])[0][0]
-    assert ("3-D RMSE" in table.head) == there
-    assert ("3-D" in table.title) == there
-
-
-def test_evaluations_alone_are_compared_without_intervals_and_without_empty_columns(tmp_path):
-    rmse = {"a": 0.2, "b": 0.1, "c": 0.3}
-    runs, notices = read_runs([_evaluation(tmp_path / name, value) for name, value in rmse.items()])
-    (table,), contrasts = comparison(runs)
-    assert table.head == ("recording", "run", "n", "RMSE")
-    assert table.rows == [["walk", name, "100", f"{100 * value:.1f}"] for name, value in rmse.items()]
-    assert (contrasts, notices, lone_subjects(runs)) == ([], [], [])
+def test_the_tables_have_the_errors_of_each_run_and_one_page_is_written(runs, tmp_path):
+    folders = runs / "fix-kf", runs / "median"
+    found, notices = read_runs(folders)
+    (table, differences), contrasts = comparison(found)
+    assert (notices, lone_subjects(found)) == ([], [])
+    for row, folder in zip(table.rows, folders, strict=True):
+        overall = json.loads((folder / "evaluation.json").read_text())["overall"]
+        assert row[1:4] == [folder.name, str(overall["n"]), f"{100 * overall['rmse_m']:.1f}"]
+    assert "3-D RMSE" in table.head
+    assert {one.run for one in contrasts} == {row[0] for row in differences.rows} == {"median"}
+    before = sorted(runs.rglob("*"))
+    said = trackwright("evaluate", *folders)
+    assert sorted(runs.rglob("*")) == before
+    assert "Differences from fix-kf" in said.out
+    assert trackwright("evaluate", *folders, "--out", tmp_path).code == 0
+    page = (tmp_path / "comparison.html").read_text()
+    assert table.rows[1][3] in page
+    assert "http" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
 
 
 def test_runs_differ_where_paired_differences_say_so():
     recordings = dict.fromkeys((f"hall {k}" for k in range(40)), 0.1)
-    same, worse = small_run("same", recordings), small_run("worse", dict.fromkeys(recordings, 0.3))
-    _, differences = comparison([small_run("uwb", recordings), same, worse])[0]
-    found = {(row[0], row[1]): row for row in differences.rows}
-    assert found["worse", "RMSE, m"][2:4] == ["0.100", "0.300"]
-    assert (found["worse", "RMSE, m"][-1], found["same", "RMSE, m"][-1]) == ("yes", "no")
-    assert Evaluation.of(worse.rows)["rmse_m"] == pytest.approx(0.3)
+    same, worse = small_run(recordings), small_run(dict.fromkeys([*recordings, "other"], 0.3))
+    named = {"uwb": small_run(recordings), "same": same, "worse": worse}
+    found = {(row[0], row[1]): row for row in comparison(named)[0][1].rows}
+    assert found["worse", "RMSE, cm"][2:4] == ["10.0", "30.0"]
+    assert (found["worse", "RMSE, cm"][-1], found["same", "RMSE, cm"][-1]) == ("yes", "no")
+    assert lone_subjects(named) == ["only in worse: other"]
 
 
-def test_the_command_prints_and_writes_one_page(tmp_path, capsys):
-    first, second = _evaluation(tmp_path / "a", 0.10), _evaluation(tmp_path / "b", 0.12)
-    before = sorted(tmp_path.rglob("*"))
-    assert evaluate_tracks(first, second) == 0
-    assert sorted(tmp_path.rglob("*")) == before
-    assert evaluate_tracks(first, second, options=EvaluateOptions(out=tmp_path / "page")) == 0
-    assert "12.0" in capsys.readouterr().out
-    page = (tmp_path / "page" / "comparison.html").read_text()
-    assert "12.0" in page
-    assert "http" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+def test_runs_without_truth_are_compared_without_errors(runs):
+    found, _ = read_runs([runs / "moving-average", runs / "fix-kf"])
+    tables, contrasts = comparison(dict.fromkeys("ab", found["moving-average"]))
+    assert [row[1] for row in tables[0].rows] == ["a", "b"]
+    assert (len(tables), contrasts, comparison_charts({"a": found["moving-average"]})) == (1, [], [])
+    assert len(comparison_charts(found)) == 2
 
 
-def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
-    good, other = _evaluation(tmp_path / "a", 0.1), _evaluation(tmp_path / "b", 0.1, "bearing")
-    broken, unevaluated = tmp_path / "d", tmp_path / "e"
-    broken.mkdir()
-    (broken / "evaluation.json").write_text("{")
-    unevaluated.mkdir()
-    (unevaluated / "tracks.parquet").write_text("")
-    for runs, says in (
-        ((good, other), "runs of one kind"),
-        ((good, broken), "JSON"),
-        ((good, tmp_path), "no evaluation.json"),
-        ((good, unevaluated), f"`trackwright evaluate {unevaluated}`"),
-        ((good, good), "more than once"),
+def test_runs_that_cannot_be_compared_are_refused_in_one_line(runs, tmp_path):
+    good = runs / "fix-kf"
+    for other, says in (
+        (runs / "beam", "runs of one kind"),
+        (tmp_path, "no tracks.parquet; expected a folder of"),
+        (good, "more than once"),
     ):
-        with pytest.raises(UnusableInput, match=says):
-            evaluate_tracks(*runs)
-    with pytest.raises(UnusableInput, match="2 runs to compare; expected no option but --json and --out"):
-        evaluate_tracks(good, other, options=EvaluateOptions(fail_if="rmse_m>1"))
+        assert_refused(trackwright("evaluate", good, other), says)
+    refused = trackwright("evaluate", good, runs / "median", "--fail-if", "rmse_m>1")
+    assert_refused(refused, "2 runs to compare; expected no option but --json and --out")
 
 
 def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():
-    claims = [
-        {"figure": "Table 1", "printed": 10.0, "ours": _value(10.4, 0.2), "unit": "cm", "ratio": 1.04,
-         "compares_rest": False, "origin": "fitted", "reached": True, "note": ""},
-        {"figure": "Table 2", "printed": 10.0, "ours": _value(14.0, 0.2), "unit": "cm", "ratio": 1.4,
-         "compares_rest": False, "origin": "predicted", "reached": False, "note": "The nearest is this."},
-        {"figure": "Table 3", "printed": 98.3, "ours": _value(93.7, 0.2), "unit": "%", "ratio": 3.71,
-         "compares_rest": True, "origin": "predicted", "reached": False, "note": ""},
-        {"figure": "Table 4", "printed": 5.0, "ours": _value(5.0, 0.2), "unit": "cm", "ratio": 1.0,
-         "compares_rest": False, "origin": "derived", "reached": None, "note": ""},
-        {"says": "A is better", "holds": False, "evidence": "1 against 2", "origin": "derived"},
-        {"says": "B is better", "holds": True, "evidence": "2 against 1", "origin": "predicted"},
-    ]  # fmt: skip
-    text = part({"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0})
-    assert "| Table 1 | 10 cm | 10.40 (10.30 … 10.50) | 1.04 | fitted | yes |" in text
-    assert "| 1.40 | predicted | **no** |" in text
-    assert "| 3.71 (rest) | predicted | **no** |" in text
-    assert "| 1.00 | derived |  |" in text
+    names = "figure", "printed", "ours", "unit", "ratio", "compares_rest", "origin", "reached", "note"
+    numbers = [
+        ("Table 1", 10.0, _value(10.4, 0.2), "cm", 1.04, False, "fitted", True, ""),
+        ("Table 2", 10.0, _value(14.0, 0.2), "cm", 1.4, False, "predicted", False, "The nearest is this."),
+        ("Table 3", 98.3, _value(93.7, 0.2), "%", 3.71, True, "predicted", False, ""),
+        ("Table 4", 5.0, _value(5.0, 0.2), "cm", 1.0, False, "derived", None, ""),
+    ]
+    claims = [dict(zip(names, number, strict=True)) for number in numbers]
+    claims.append({"says": "A is better", "holds": False, "evidence": "1 against 2", "origin": "derived"})
+    claims.append({"says": "B is better", "holds": True, "evidence": "2 against 1", "origin": "predicted"})
+    study = {"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0}
     counts = "Predicted: 0 of 2 numbers within tolerance; 1 of 1 conclusion holds. "
     counts += "Derived, not counted: 1 number, 1 conclusion. Fitted: 1 of 1 number within tolerance."
+    text = part(study)
+    assert "| Table 1 | 10 cm | 10.40 (10.30 … 10.50) | 1.04 | fitted | yes |" in text
+    assert all(f"| {cells} |" in text for cells in ("1.40 | predicted | **no**", "3.71 (rest) | predicted | **no**"))
     assert f"**{counts}**" in text
-    assert tables([{"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0}], 12.0).count(counts) == 2
+    assert tables([study], 12.0).count(counts) == 2
     assert "**Does not hold** (*derived*): A is better." in text
-    assert "Holds (*predicted*): B is better." in text
-    rows = evidence([{"study": "some", "claims": claims}])
-    assert rows["evidence"].to_list() == ["", "The nearest is this.", "", "", "1 against 2", "2 against 1"]
+    assert evidence([study])["evidence"].to_list() == ["", "The nearest is this.", "", "", "1 against 2", "2 against 1"]

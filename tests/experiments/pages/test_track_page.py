@@ -4,7 +4,6 @@ import base64
 import json
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import polars as pl
@@ -49,15 +48,6 @@ def test_columns_tracks_and_events_are_those_of_the_tables(tracks):
     assert recording["start"] + event["t"] == pytest.approx(5.0)
 
 
-def test_a_row_has_its_word_of_status_and_is_ok_with_an_unknown_one_or_none():
-    tracks = small_tracks(rows=7, tags=("A",))
-    words = ["waiting", "ok", "lost", "restarted", "non-finite", "drifting", None]
-    rows = tracks.rows.with_columns(status=pl.Series(words))
-    (recording,) = run_data(ScoredTracks(rows, tracks.folders, []), None, "uwb")["recordings"]
-    shown = [recording["statuses"][number] for number in _unpacked(recording)["status"]]
-    assert shown == [*words[:5], "ok", "ok"]
-
-
 def test_the_rig_is_drawn_where_the_estimates_are(tracks):
     """Of map coordinates, walls, anchors and path are shifted by the origin of the page as positions are."""
     (folder,) = tracks.folders
@@ -90,37 +80,12 @@ def test_of_many_rows_and_tracks_ends_peaks_and_ranks_are_drawn():
     assert {order[0], order[50], order[100]} <= set(chosen)
 
 
-def test_a_long_recording_is_decimated_within_the_size_of_a_page():
-    tracks = small_tracks(rows=500, tags=tuple(f"tag-{k}" for k in range(200)))
-    run = run_data(tracks, None, "uwb")
-    assert len(track_page([run], "trackwright track hall").encode()) < 8e6
-    assert run["recordings"][0]["rows"] == 100_000
-    assert run["recordings"][0]["drawn"] <= 25_400
-
-
 def test_no_text_of_a_user_ends_a_script_or_becomes_markup_and_nothing_is_loaded(tracks):
     evaluation = Evaluation.of(tracks.rows)
     text = track_page([run_data(tracks, evaluation, f"mine {NASTY}", NASTY)], f"track {NASTY}")
     assert NASTY not in text
 
-    class Scripts(HTMLParser):
-        data, kinds, inside = "", [], False
-
-        def handle_starttag(self, tag, attrs):
-            if tag == "script":
-                self.kinds.append(dict(attrs).get("type"))
-                self.inside = self.kinds[-1] == "application/json"
-
-        def handle_data(self, data):
-            self.data += data if self.inside else ""
-
-        def handle_endtag(self, tag):
-            self.inside = False
-
-    parser = Scripts()
-    parser.feed(text)
-    assert parser.kinds.count("application/json") == 1
-    assert json.loads(parser.data)["runs"][0]["name"] == NASTY
+    assert json.loads(text.split('id="data">')[1].split("</script>")[0])["runs"][0]["name"] == NASTY
     assert not re.search(r'(src|href)="|<link|@import', text[: text.index('<script type="application/json"')])
 
 
@@ -158,20 +123,7 @@ def test_the_band_of_nis_is_that_of_the_tracker_s_noise_and_empty_without_a_trac
     assert bands[1] == []
 
 
-def test_errors_of_a_given_height_are_in_no_column():
-    for std, there in ((0.0, False), (0.4, True)):
-        tracks = small_tracks()
-        rows = tracks.rows.with_columns(std_z_m=pl.lit(std))
-        rows = scored_rows(rows, {f.name: f.tables["truth"] for f in tracks.folders})
-        run = run_data(ScoredTracks(rows, tracks.folders, []), Evaluation.of(rows), "uwb")
-        assert {"rmse_3d_m" in line for line in run["metrics"]} == {there}
-        assert len(run["recordings"][0]["axes"]) == 2 + there
-
-
 def test_of_many_recordings_the_worst_the_median_and_the_best_have_figures():
     rmse = np.array([0.2, np.nan, 0.05, 0.9, 0.4, 0.3])
-    why = drawn_of(rmse, angles=False)
-    assert why == {3: "worst of 5, RMSE 90 cm", 5: "median of 5, RMSE 30 cm", 2: "best of 5, RMSE 5 cm"}
-    assert drawn_of(rmse[:4], angles=False) == dict.fromkeys(range(4), "")
-    assert drawn_of(np.full(9, np.nan), angles=False) == dict.fromkeys(range(4), "")
-    assert drawn_of(np.radians([1, 2, 3, 4, 5.0]), angles=True)[4] == "worst of 5, RMSE 5 °"
+    assert drawn_of(rmse) == [3, 5, 2]
+    assert drawn_of(rmse[:4]) == drawn_of(np.full(9, np.nan)) == [0, 1, 2, 3]
