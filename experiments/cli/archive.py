@@ -178,71 +178,15 @@ def track_archive(paths: Sequence[Path], options: TrackOptions, begin: Begin) ->
     return LEFT_OUT if refused else 0
 
 
-def _results(found: Sequence[tuple[Path, Result]]) -> pl.DataFrame:
-    """The table of results."""
-    rows: list[dict[str, Any]] = [dict.fromkeys((*NAMES, *TEXTS))]
-    for path, result in found:
-        # A name that no line can hold is shown; no command looks for it.
-        whole = str(path.resolve()) if not has_control(str(path.resolve())) else one_line(path.resolve())
-        for summary in result.outcomes:
-            endings = summary["endings"]
-            tracks = {"tracks": sum(endings.values()), "endings": "; ".join(f"{k} {n}" for k, n in endings.items())}
-            names = {"path": whole, "tracker": summary["short"], "notices": "; ".join(result.notices)}
-            rows.append(names | tracks | summary["metrics"])
-        rows += [{"path": whole, "refused": line} for line in result.refused]
-    table = pl.DataFrame(rows, infer_schema_length=None)[1:]
-    return table.select(*NAMES, pl.exclude(*NAMES, *TEXTS), *TEXTS)
-
-
-def _write_run(name: str, of: Sequence[tuple[Path, Summary]], out: Path, store: Finished, run: Run) -> None:
-    """Writes the tables of a tracker over all recordings, and prints its metrics."""
-    options, summaries = store.tracking.options, [summary for _, summary in of]
-
-    def rows(table: str) -> pl.LazyFrame:
-        """The tables of all recordings as one, which is not in memory."""
-        files, schema = [store.folder(path) / name / table for path, _ in of], dict[str, Any]()
-        for file in files:
-            schema |= pl.read_parquet_schema(file)
-        return pl.scan_parquet(files, schema=pl.Schema(schema), missing_columns="insert")
-
-    whole = added(pl.DataFrame([x["sums"] for x in summaries], infer_schema_length=None), rows(ERRORS))
-    levels = [x["metrics"] for x in summaries], [track for x in summaries for track in x["tracks"]]
-    filled = [pl.DataFrame(level, infer_schema_length=None).to_dicts() for level in levels]
-    evaluation = tw.Evaluation(summaries[0]["bearing"], metrics(whole).row(0, named=True), *filled)
-    write_whole(out / EVALUATION, to_json(evaluation))
-    write_whole(out / SOURCES, sources_text(path for path, _ in of))
-    for table in (TRACKS, EVENTS):
-        atomic_write(out / table, partial(rows(table).sink_parquet, compression_level=1))
-    endings = sum((Counter(x["endings"]) for x in summaries), Counter[str]())
-    print(f"{name}: {counted(endings.total(), 'track')} of {counted(len(of), 'recording')}: {runs.words_of(endings)}")
-    rows_written = pl.scan_parquet(out / TRACKS).select(pl.len()).collect().item()
-    about, tracker = {"recordings": len(of), "verdicts": endings}, summaries[0]["tracker"]
-    text, show = (
-        partial(archive_text, evaluation, terminal_width()),
-        partial(_show, of, evaluation, out, store.tracking, run),
-    )
-    runs.end_run(tracker, evaluation, text, show, rows_written, about, options, out, run)
-
-
-def _show(
-    of: Sequence[tuple[Path, Summary]], evaluation: tw.Evaluation, out: Path, tracking: Tracking, run: Run
-) -> list[str]:
-    """Writes the page and the figures of a few recordings, tracked again; in words, what was written."""
-    if tracking.options.figures == "none":
-        return []
-    rmse = [metrics["rmse_direction_rad" if evaluation.bearing else "rmse_m"] for metrics in evaluation.recordings]
-    chosen = [of[k][0] for k in drawn_of(np.array(rmse, float))]
-    folders = [ready(tracking.read(path), tracking.options.used, tracking.calibration)[0] for path in chosen]
-    named = tracking.named(of[0][1]["tracker"], folders)
-    found, _ = runs.tracked(named, folders, tracking.options, run.begin)
-    statements = {"statements": evaluation.statements} if evaluation.overall["n"] else {}
-    page = runs.page_of(found, found.evaluation, 1) | {"recordingCount": len(of)} | statements
-    return runs.write_shown(runs.scored(found), [page], tracking.options, out, run)
-
-
-def _list_refused(lines: Sequence[str], where: str) -> None:
-    """A line for each refusal, up to some; `where`: the place of all."""
-    for line in lines[:LISTED]:
-        notice(f"not tracked: {line}")
-    if len(lines) > LISTED:
-        notice(f"not tracked: {len(lines) - LISTED} more{where}")
+def _results(
+    done: Sequence[tuple[Path, Found]], metrics: Sequence[Mapping[str, Any]], refused: Sequence[tuple[Path, str]]
+) -> pl.DataFrame:
+    """The table of results, a row for each recording in the order of paths."""
+    rows: dict[Path, dict[str, Any]] = {path: {"refused": line, "notices": None} for path, line in refused}
+    for (path, found), own in zip(done, metrics, strict=True):
+        endings = "; ".join(f"{words} {n}" for words, n in found.endings.items())
+        ends = {"tracks": sum(found.endings.values()), "endings": endings, "notices": "; ".join(found.notices)}
+        rows[path] = {**own, **ends, "refused": None}
+    lines = [{"path": one_line(path.resolve())} | rows[path] for path in sorted(rows)]
+    table, last = pl.DataFrame(lines, infer_schema_length=None), ("notices", "refused")
+    return table.select("recording", "path", pl.exclude("recording", "path", *last), *last)

@@ -72,28 +72,13 @@ def print_comparison(folders: Sequence[Path], out: Path | None) -> None:
     # Reading errors of tracks and drawing take a second to import, which a refused command need not wait for.
     from trackwright.experiments.pages import comparison as pages
 
-    runs, lines = read_runs(folders)
-    tables, contrasts = comparison(runs)
-    notices([*lines, *lone_subjects(runs)])
-    if json:
-        differences = [contrast._asdict() | {"difference": contrast.difference._asdict()} for contrast in contrasts]
-        shown = [dict(zip(table._fields[:-1], table[:-1], strict=True)) for table in tables]
-        print(json_text({"tables": shown, "contrasts": differences}), end="")
-    else:
-        print(sections_text(tables, WIDTH), end="")
-    if out is None:
-        return
-    path, charts = output_folder(out) / COMPARISON, comparison_charts(runs)
-    written = list[str]()
-    if kind is not None:
-        # matplotlib takes a third of a second to import.
-        from trackwright.experiments.pages.chart import write_charts
-
-        written += write_charts(out, charts, kind, f"{path.stem}-")
-    if page:
-        written.insert(0, write_comparison(path, [*runs], tables, charts, sys.argv, playback).name)
-    if written and not json:
-        print(f"wrote {', '.join([str(out / written[0]), *written[1:]])}")
+    runs, lines = pages.read_runs(folders)
+    tables, _ = pages.comparison(runs)
+    notices([*lines, *pages.lone_subjects(runs)])
+    print(sections_text(tables, pages.WIDTH), end="")
+    if out is not None:
+        names, charts, page = [*runs], pages.comparison_charts(runs), "comparison.html"
+        print(f"wrote {pages.write_comparison(output_folder(out) / page, names, tables, charts, sys.argv)}")
 
 
 def evaluate_poses(source: Path, options: EvaluateOptions) -> int:

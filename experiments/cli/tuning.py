@@ -38,8 +38,8 @@ REPEATS = 10  # runs of a particle filter per point of a sweep, with different r
 
 def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: TuneOptions, begin: Begin) -> int:
     """Fits to the first `count` recordings, the others held out, writes all files and prints the table; exit code."""
-    started, named = monotonic(), options.numbers.build(chosen_tracker(folders, options.numbers), [*folders])
     training, held_out = folders[:count], folders[count:]
+    named = options.numbers.build(chosen_tracker(folders, options.numbers), [*folders])
     data = fit_data(named.only_batch(folders), options.objective, held_out)
     result = _fit(data, options, begin)
     begin("leaving out recordings")
@@ -71,7 +71,7 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
             notes.append("The held-out recordings were used to select the best point and to stop the fit.")
         page = pages.tuning_page(
             result, data, objective, compared, intervals, issues, tracker=named.name, cautions=lines, notes=notes,
-            seconds=monotonic() - started, commands=(use, typed(sys.argv)),
+            commands=(use, typed(sys.argv)),
         )  # fmt: skip
         write_page(out / "report.html", page)
     paths = [str(folder.path) for folder in training]
@@ -116,90 +116,10 @@ def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
     return kept_fit(data, tune, how, place, out, depends, options.resume, say)
 
 
-def judged(fitted: Fitted, before: pl.DataFrame) -> pages.Compared:
-    """The recordings shown, `before` the fit and with values fitted without them, and the verdict."""
-    result, data, shown = fitted.result, fitted.data, fitted.shown
-    table, about = left_out_estimates(result, data, fitted.named, shown, before)
-    why_not = "" if about else "the fit cannot leave a recording or a block of time out"
-    if result.uncertainty is None:
-        why_not = "the fit was interrupted"
-    count = len(pages.recording_names(data.training))
-    part = f"{len(shown)} of {count} " if len(shown) < count else ""
-    about = "held-out recordings" if data.held_out else f"{part}recording{'s' if count > 1 else ''} tuned on{about}"
-    return pages.compare((before, with_truth(table, shown)), shown, data.dimensions, about, why_not)
-
-
-def _write_run(fitted: Fitted, recordings: Sequence[Path], run: Run, compared: pages.Compared) -> dict[str, Any]:
-    """Writes all files, prints what they show, and returns the content of tuned.toml."""
-    options, data, result, out = fitted.options, fitted.data, fitted.result, fitted.options.out
-    name, uncertainty, used = fitted.named.name, fitted.result.uncertainty, options.used
-    objective = data.named
-    if options.prior != "flat" and data.objective.is_likelihood:
-        objective += " + prior"
-    intervals = intervals_of(result)
-    calibrated = None if used.calibration is None else identity(used.calibration)
-    content = compared.content() | tuned_content(name, objective, result, intervals, calibrated)
-    tw.write_tuned(out / "tuned.toml", content)
-    drawn = _write_trace(out, result, objective, file_format(options.figures))
-    issues, lines = [], without_intervals(uncertainty, intervals)
-    if uncertainty is not None:
-        issues = identifiability_issues(uncertainty, result.evaluation.term_gradients, bool(data.held_out))
-        lines = [*result.cautions, *lines]
-    use = f"trackwright track … --noise {out / 'tuned.toml'}"
-    use += "" if used.calibration is None else f" --calibration {used.calibration}"
-    use += "" if used.average is None else f" --average {used.average:g}"
-    written = ["trace.csv", *drawn, "manifest.json"]
-    if options.figures != "none":
-        written.insert(0, "report.html")
-        page = pages.tuning_page(
-            result, data, objective, compared, intervals, issues, tracker=name, cautions=lines,
-            notes=[*_notes(data, result)], commands=(use, typed(sys.argv)),
-        )  # fmt: skip
-        write_page(out / "report.html", page)
-    about = config(options, "resume", "check")
-    write_manifest(
-        out, about, run.started, recordings=[str(path) for path in recordings], filter_runs=result.filter_runs
-    )
-    print(table(result, objective, intervals))
-    for text in (*(issue.text for issue in issues), *lines):
-        print(f"notice: {text}")
-    print(compared.text(), end="")
-    print(f"wrote {out / 'tuned.toml'}, {', '.join(written)}; use it: {use}")
-    return content
-
-
-def _notes(data: FitData, result: tw.FitResult) -> Iterator[str]:
-    if result.uncertainty is None:
-        yield "The fit was interrupted: the values are the best so far; --resume continues it."
-    if result.n_excluded:
-        yield f"{result.n_excluded} of {len(data.training)} segments were excluded."
-    if data.held_out:
-        yield "The held-out recordings were used to select the best point and to stop the fit."
-
-
-def _write_trace(out: Path, result: tw.FitResult, objective: str, figure: str | None) -> list[str]:
-    """Writes the table of the steps and, where asked for, its figure; returns the name of that."""
-    traces, names = pages.traces_of(result), numbers.component_names(result.parameters)
-    columns = {objective: traces[0].objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
-    columns |= dict(zip(names, traces[0].values.T, strict=True))
-    atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
-    if figure is None:
-        return []
-    from trackwright.experiments.pages.chart import write_charts
-
-    return write_charts(out, [pages.objective_chart(traces, objective)], figure)
-
-
-def table(result: tw.FitResult, objective: str, intervals: Mapping[str, Interval]) -> str:
-    """A table of the tuned parameters, and a line on the objective before and after."""
-    rows = [("tunable", "before", "after", "95 % interval", "unit")]
-    for p in pages.tuned_parameters(result, intervals):
-        interval = f"{p.low:.4g} to {p.high:.4g}" if np.isfinite(p.low) else "-"
-        rows.append((p.name, f"{p.before:.4g}", f"{p.after:.4g}", interval, "" if p.unit == "1" else p.unit))
-    return f"{aligned(rows)}\n{objective}: {result.start_value:.5g} -> {result.value:.5g}"
-
-
-def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, run: Run) -> None:
+def sweep_folders(
+    folders: Sequence[tw.RecordingFolder], grids: Mapping[str, np.ndarray], objective: str, numbers: Numbers, out: Path,
+    begin: Begin,
+) -> None:  # fmt: skip
     """Evaluates the objective on the grid, writes all files and prints the best point."""
     started, named = monotonic(), numbers.build(chosen_tracker(folders, numbers), [*folders])
     group = named.only_batch(folders)
@@ -215,12 +135,8 @@ def sweep_folders(folders: Sequence[tw.RecordingFolder], options: SweepOptions, 
         raise tw.UnusableInput("the objective is not finite at any grid point; see `trackwright check` on recordings")
     atomic_write(out / "sweep.csv", swept.to_polars(objective).write_csv)
     unit = "rad" if group.trajectories[0].station else "m"
-    drawn = out / f"sweep.{options.figures}"
-    write(pages.sweep_chart(swept, f"RMSE ({unit})" if objective == "rmse" else objective), drawn)
-    result = {"best": swept.best, "least": float(swept.mean[swept.best_index]), "filter_runs": swept.filter_runs}
-    result["seconds"] = run.seconds
-    about = config(options) | {"tracker": named.name}
-    write_manifest(out, about, run.started, recordings=[str(folder.path) for folder in folders], **result)
+    write(pages.sweep_chart(swept, f"RMSE ({unit})" if objective == "rmse" else objective), out / "sweep.png")
+    write_manifest(out, tracker=named.name, recordings=[str(folder.path) for folder in folders], best=swept.best)
     print(swept.text(objective, unit if objective == "rmse" else ""))
     print(f"{swept.filter_runs} trajectories filtered in {monotonic() - started:.1f} s")
     print(f"wrote {out / 'sweep.csv'}, sweep.png and manifest.json")

@@ -15,7 +15,15 @@ from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import MISSING, fixed
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.wording import counted
-from trackwright.trackers.recordings.calibration import ANGLES, UNCALIBRATED, Calibration, range_terms
+from trackwright.trackers.recordings.calibration import (
+    ANGLE_PRIOR,
+    ANGLES,
+    DETERMINED,
+    RANGE_PRIOR,
+    UNCALIBRATED,
+    Calibration,
+    range_terms,
+)
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import calibrate
@@ -32,8 +40,6 @@ SECTIONS = {
         "A true angle a, with the other angle b, is measured as offset + gain·a + cubic·a³ + cross·a·b."),
     "anchors": Section("Anchors", ("anchor", "bias, m", "slope", *_ERRORS), (), 1,
         "A distance d is measured as d + bias + slope·d, plus the bias of the tag where there are several."),
-    "differences": Section("Range differences", ("anchor", "bias, m", *_ERRORS), (), 1,
-        "A difference is measured with the bias of its first anchor less that of the second, relative to their mean."),
     "tags": Section("Tags", ("tag", "bias, m", "rows"), (), 1, "Bias relative to the mean of the tags."),
 }  # fmt: skip
 """The tables without their rows: of stations by angle, of anchors, of tags if several."""
@@ -45,7 +51,7 @@ NOTE = (
 
 
 class Source(NamedTuple):
-    """One angle of a station, or the ranges or range differences of an anchor; `column`: of the pairs."""
+    """One angle of a station, or the ranges of an anchor; `column`: of the pairs."""
 
     table: str
     name: str
@@ -124,8 +130,8 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
-    angles, ranges, tdoa = ("bearings", ANGLES), ("ranges", ["range"]), ("tdoa", ["range difference"])
-    for table, (kind, quantities) in {"stations": angles, "anchors": ranges, "differences": tdoa}.items():
+    of = {"stations": ("bearings", ANGLES), "anchors": ("ranges", ["range"])}
+    for table, (kind, quantities) in of.items():
         for name, pairs in calibration_pairs(folders, KINDS[kind]).items():
             yield from (Source(table, name, quantity, k, pairs) for k, quantity in enumerate(quantities))
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import polars as pl
-from markupsafe import Markup
 
 from trackwright.experiments.pages.chart import Chart
 from trackwright.experiments.pages.charts import coverage, error_cdf
@@ -147,11 +146,9 @@ def comparison_charts(runs: Runs) -> list[Chart]:
 
 
 def write_comparison(
-    path: Path, runs: Sequence[str], tables: Sequence[Section], charts: Sequence[Chart], command: Sequence[str],
-    playback: str | None = None,
+    path: Path, runs: Sequence[str], tables: Sequence[Section], charts: Sequence[Chart], command: Sequence[str]
 ) -> Path:  # fmt: skip
-    """Writes the page; returns the path. `playback`: the name of a page beside it that plays the runs back."""
+    """Writes the page; returns the path."""
     title = " and ".join(runs) if len(runs) == 2 else f"{len(runs)} runs: {', '.join(runs)}"
-    link = Markup('<a href="{0}">{0}</a> plays the same runs back, with a selector of the tracker.').format(playback)
     sections = [*tables, Section("Figures", parts=[list(charts)])]
-    return write_page(path, report_page("comparison", title, [link] if playback else [], sections, [typed(command)]))
+    return write_page(path, report_page("comparison", title, [], sections, [typed(command)]))

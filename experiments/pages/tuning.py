@@ -201,7 +201,7 @@ def recording_names(trajectories: Sequence[Trajectory]) -> list[str]:
 
 def tuning_page(
     result: FitResult, data: FitData, objective: str, compared: Compared, intervals: Mapping[str, Interval],
-    issues: Sequence[IdentifiabilityIssue], *, tracker: str, cautions: Sequence[str], notes: Sequence[str],
+    issues: Sequence[Issue], *, tracker: str, cautions: Sequence[str], notes: Sequence[str],
     commands: Sequence[str],
 ) -> str:  # fmt: skip
     """The page of a fit. `cautions`: clauses of the fit on itself. `notes`: sentences on irregularities of the run."""
@@ -217,7 +217,7 @@ def tuning_page(
     }
     sections = [
         Section("Settings", parts=[settings, *notes]),
-        _parameters_section(parameters),
+        parameters_section(parameters),
         *compared.sections,
         Section("Covariances after the fit", parts=compared.statements),
         Section("Optimisation", parts=[[objective_chart(traces_of(result), objective)]]),

@@ -43,13 +43,7 @@ def test_a_file_is_aligned_shifted_in_time_and_scored_with_all_figures(beginning
     found = json.loads(trackwright("evaluate", there / "own.tum", *arguments, "--json").out)
     # Two axes with 5 cm each; the alignment takes three of a hundred numbers.
     assert found["overall"]["rmse_m"] == pytest.approx(0.05 * math.sqrt(2), rel=0.2)
-    assert found["poses"]["tracks"][0]["ape_m"]["rmse"] == pytest.approx(found["overall"]["ape_m"])
-    written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"report.html", "tracks.parquet", "recordings.txt"} <= written
-    assert not any(name.endswith(".png") for name in written)
-    page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert "<title>good · trackwright evaluate</title>" in page
-    assert "trackwright · evaluate</p>" in page
+    assert found["poses"]["tracks"][0]["ape_m"]["rmse"] == pytest.approx(found["overall"]["rmse_m"])
 
 
 def test_the_json_of_two_files_has_the_numbers_of_evo(there):
