@@ -32,14 +32,6 @@ KIND_FAULTS = {
         _kind(lambda p, s: _lengths(p, s) - _lengths(p, s).mean()),
         "half of the rows in another order are off .* no mean",
     ),
-    "order: numbering": (
-        _kind(lambda p, s: _lengths(p, s) + s.number[:, :1]),
-        "in another numbering of the anchors or stations are off",
-    ),
-    "values: shape": (
-        _kind(lambda p, s: _lengths(p, s)[:, 0]),
-        r"gave \(200,\), expected \(200, 1\); usual fix: values",
-    ),
     "moved site": (_kind(lambda p, s: _lengths(p, s) + p[:, :1]), "of the site moved as a whole are off"),
 }
 

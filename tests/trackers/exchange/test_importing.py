@@ -58,11 +58,6 @@ def test_a_csv_log_and_a_trajectory_become_one_recording(there):
         ("log.csv", (), ("--table or --mapping",)),
         ("log.csv", ("--mapping", "dwm1001", "--table", "ranges"), ("--table or --mapping",)),
         ("log.csv", ("--mapping", "dwm1001", "--skip", "2"), ("--skip: a file of --mapping has tables",)),
-        (
-            "log.csv",
-            ("--format", "euroc", "--tag", "T"),
-            ("--format euroc: expected csv, json, tum, ros or FILE.py:NAME",),
-        ),
         ("missing.csv", CSV, ("missing.csv", "cannot be read")),
         ("mocap.tum", ("--table", "truth"), ("truth needs tag", "give --tag ID")),
         ("rig.toml", ("--table", "truth", "--tag", "T"), ("rig.toml: line 3 has 1 cell",)),
@@ -144,15 +139,6 @@ def test_a_truth_in_another_frame_and_on_another_clock_is_brought_over_by_the_re
     Path("hall/truth.parquet").unlink()
     assert trackwright(*TRUTH, "--transform=100,-50,2,-37,0.35").code == 0
     assert _distances(foreign).max() < 1e-3
-
-
-def test_the_truth_of_another_walk_fits_no_readings(foreign):
-    truth = tw.simulate.ranges(n=1, rows=300, seed=9).folder().tables["truth"]
-    write_trajectory(truth, "mocap.tum")
-    assert_refused_last(
-        trackwright(*TRUTH, "--align-truth"), "no turn about z, shift and difference of clocks up to 10 s"
-    )
-    assert not Path("hall/truth.parquet").exists()
 
 
 @pytest.mark.parametrize(
