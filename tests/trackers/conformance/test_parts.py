@@ -14,14 +14,11 @@ from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Resi
 
 
 def _fails(check_part, part, name, message):
-    """Whether the first check that fails is that of this name, with the message."""
     with pytest.raises(tw.BrokenContract, match=f"^{name}: (?s:.*){message}"):
         check_part(part, Placed(Vector(0.4, 0.7)))
 
 
 class Walk(AbstractMotion):
-    """A motion whose step a test breaks."""
-
     move: object = eqx.field(static=True)
 
     @property
@@ -46,7 +43,6 @@ class Walk(AbstractMotion):
         (lambda p, dt, w: Placed(Vector(p[0] + w[0] * dt, p[1] + jax.lax.stop_gradient(p[0]) * dt + w[1] * dt)),
          "derivatives", r"covariance of position\.[01] and position\.1 .* by difference quotients .*no stop_gradient"),
     ],
-    ids=["noise", "another kind", "if", "random", "root of zero", "cut derivative"],
 )  # fmt: skip
 def test_a_broken_motion_is_named_with_what_is_wrong(move, check, message):
     _fails(check_motion, Walk(move), check, message)

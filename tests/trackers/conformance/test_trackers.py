@@ -140,10 +140,10 @@ class AtTheFirst(tw.AbstractStart):
         return tw.Gaussian(state, tw.diagonal([0.3**2, 0.3**2, 1.0, 1.0], zero))
 
 
-def kalman(start: Any = None, **sensor: Any) -> tw.Tracker:
+def kalman(**sensor: Any) -> tw.Tracker:
     """A linear tracker of positions."""
     places = Places(tw.Scale(0.2, "m", "measurement noise"), **sensor)
-    return tw.Tracker(tw.ConstantVelocity(0.5, 2), {"places": places}, start or AtTheFirst())
+    return tw.Tracker(tw.ConstantVelocity(0.5, 2), {"places": places}, AtTheFirst())
 
 
 def _and(add):
@@ -161,15 +161,6 @@ def _of_later_rows(output, batch):
 
 def _of_the_number(output, batch):
     return jnp.mean(jnp.asarray(batch.valid)[0].astype(output.nis.dtype))
-
-
-class Unsure(tw.AbstractStart):
-    """Starts nowhere."""
-
-    def can_start(self, row):
-        return row.dt < 0
-
-    candidate, belief = AtTheFirst.candidate, AtTheFirst.belief
 
 
 FAULTS = {
@@ -190,7 +181,6 @@ FAULTS = {
     ),
     "accumulate": (lambda: CountedTwice(averaged()), "by `accumulate`, .* by `scan`"),
     "gradient": (lambda: averaged(held=True), "by sigma is 0, by difference quotients"),
-    "run": (lambda: kalman(start=Unsure()), "a track runs in 0% of the rows"),
 }  # fmt: skip
 """By the check that finds it: a tracker with a fault, and what the sentence says."""
 

@@ -12,7 +12,7 @@ import pytest
 import trackwright as tw
 from tests.in_process import assert_refused_last, trackwright
 from trackwright.trackers.evaluation.rows import AXES
-from trackwright.trackers.exchange.importing import found_placement, placed
+from trackwright.trackers.exchange.importing import found_placement
 from trackwright.trackers.exchange.trajectories import write_trajectory
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 from trackwright.trackers.recordings.kinds import QUATERNION
@@ -161,14 +161,3 @@ def test_a_height_that_biases_of_ranges_do_not_determine_stays_as_it_is():
     found, words = found_placement(replace(folder, tables={**folder.tables, "ranges": longer}))
     assert found[2] == 0.0
     assert "z as it was" in words
-
-
-def test_fixes_without_a_height_place_a_truth_over_the_floor():
-    folder = tw.simulate.agv(n=1, rows=200, seed=2).folder()
-    truth, fixes = folder.tables["truth"], folder.tables["fixes"].with_columns(z_m=pl.lit(None, pl.Float64))
-    away = placed(truth, (3.0, -4.0, 0.0, 60.0, 0.0))
-    found, words = found_placement(replace(folder, tables={"fixes": fixes, "truth": away}))
-    assert words.rpartition(";")[2].count(" m") == 2
-    back = placed(away, found)
-    for axis, most in (("x_m", 0.2), ("y_m", 0.2), ("z_m", 1e-6)):
-        assert np.abs(back[axis].to_numpy() - truth[axis].to_numpy()).max() < most
