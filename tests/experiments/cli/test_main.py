@@ -16,6 +16,7 @@ from tests.in_process import trackwright
 from trackwright.experiments.cli import options
 from trackwright.experiments.cli.commands import COMMANDS, SECTIONS, application
 from trackwright.sim import worlds
+from trackwright.trackers.exchange import trajectories
 from trackwright.trackers.recordings.folder import write_recording
 
 MEMBERS = ("station", "line", "ranges", "tdoa", "fusion", "body", "tool", "agv")

@@ -18,7 +18,7 @@ from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker, AbstractTracker
 
 
-def recordings(count: int = 1, rows: int = 40) -> list[tw.Recording]:
+def _recordings(count: int = 1, rows: int = 40) -> list[tw.Recording]:
     """Positions near a straight walk, m."""
     rng, times = np.random.default_rng(5), 0.1 * np.arange(rows)
     walk = np.stack([0.5 * times, 1.0 - 0.3 * times], axis=1)
@@ -102,7 +102,7 @@ class Unsettled:
         return cls()
 
 
-def averaged(change: Callable[[Output, tw.Batch], Output] = _plain, **facts: Any) -> Averaged:
+def _averaged(change: Callable[[Output, tw.Batch], Output] = _plain, **facts: Any) -> Averaged:
     """The average with a function of its output and batch."""
     return Averaged(tw.Fraction(0.3), tw.Scale(0.3, "m"), change, **facts)
 
@@ -140,7 +140,7 @@ class AtTheFirst(tw.AbstractStart):
         return tw.Gaussian(state, tw.diagonal([0.3**2, 0.3**2, 1.0, 1.0], zero))
 
 
-def kalman(**sensor: Any) -> tw.Tracker:
+def _kalman(**sensor: Any) -> tw.Tracker:
     """A linear tracker of positions."""
     places = Places(tw.Scale(0.2, "m", "measurement noise"), **sensor)
     return tw.Tracker(tw.ConstantVelocity(0.5, 2), {"places": places}, AtTheFirst())
@@ -164,23 +164,23 @@ def _of_the_number(output, batch):
 
 
 FAULTS = {
-    "padding": (lambda: averaged(_and(_of_padding)), "in rows of padding.*changes nis"),
-    "later rows": (lambda: averaged(_and(_of_later_rows)), "leaving out later rows"),
+    "padding": (lambda: _averaged(_and(_of_padding)), "in rows of padding.*changes nis"),
+    "later rows": (lambda: _averaged(_and(_of_later_rows)), "leaving out later rows"),
     "number and order": (
-        lambda: averaged(_and(_of_the_number)), r"a batch of the recordings \[0, 1, 2, 3, 4\] changes nis"
+        lambda: _averaged(_and(_of_the_number)), r"a batch of the recordings \[0, 1, 2, 3, 4\] changes nis"
     ),
     "hidden values": (
-        lambda: kalman(change=lambda r, z: r._replace(
+        lambda: _kalman(change=lambda r, z: r._replace(
             log_scale=r.log_scale + 1e-3 * jnp.where(z.seen[0], 0.0, jnp.asarray(z.values[0]))
         )), "the value 1e\\+30 of a channel that is not seen changes log_likelihood",
     ),
-    "cut and resume": (lambda: averaged(forgets=True), "continues another from row .*`scan` returns"),
-    "one program": (lambda: averaged(label=Unsettled()), "traces [1-9].* programs anew, expected none"),
+    "cut and resume": (lambda: _averaged(forgets=True), "continues another from row .*`scan` returns"),
+    "one program": (lambda: _averaged(label=Unsettled()), "traces [1-9].* programs anew, expected none"),
     "single and batch": (
-        lambda: averaged(lambda output, batch: output._replace(nis=output.nis * (1.0 + 1e-3 * batch.size))), "alone and in a batch differ",
+        lambda: _averaged(lambda output, batch: output._replace(nis=output.nis * (1.0 + 1e-3 * batch.size))), "alone and in a batch differ",
     ),
-    "accumulate": (lambda: CountedTwice(averaged()), "by `accumulate`, .* by `scan`"),
-    "gradient": (lambda: averaged(held=True), "by sigma is 0, by difference quotients"),
+    "accumulate": (lambda: CountedTwice(_averaged()), "by `accumulate`, .* by `scan`"),
+    "gradient": (lambda: _averaged(held=True), "by sigma is 0, by difference quotients"),
 }  # fmt: skip
 """By the check that finds it: a tracker with a fault, and what the sentence says."""
 
@@ -188,11 +188,11 @@ FAULTS = {
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_found_by_its_check(name):
     tracker, message = FAULTS[name]
-    check = next(c for c in tw.tracker_checks(tracker(), recordings()) if str(c) == name.partition(":")[0])
+    check = next(c for c in tw.tracker_checks(tracker(), _recordings()) if str(c) == name.partition(":")[0])
     with pytest.raises(tw.BrokenContract, match=message):
         check()
 
 
 def test_sound_trackers_pass_all_checks():
-    tw.check_tracker(kalman(), recordings(3))
-    tw.check_tracker(averaged(), recordings(3))
+    tw.check_tracker(_kalman(), _recordings(3))
+    tw.check_tracker(_averaged(), _recordings(3))

@@ -145,7 +145,6 @@ def test_a_truth_in_another_frame_and_on_another_clock_is_brought_over_by_the_re
     ("arguments", "words"),
     [
         (("--transform", "1,2,3"), ("--transform 1,2,3: expected X,Y,Z,YAW or X,Y,Z,YAW,S",)),
-        (("--transform", "1,2,3,north"), ("expected X,Y,Z,YAW",)),
         (("--table", "fixes", "--transform", "1,2,3,4"), ("move a truth; expected --table truth",)),
         (("--tag", "9", "--align-truth"), ("no measurement at the times of the truth",)),
     ],
