@@ -293,7 +293,7 @@ def check_times(tables: Tables, base: bool = True) -> Results:
     unit = next((unit for least, unit in units if first > least), "")
     if unit and (base or unit != "seconds"):
         message = f"starts at {first:.0f}: looks like {unit} since 1970, expected seconds since the start of recording"
-        fix = "; `trackwright import --origin start` makes them so" * (unit == "seconds")
+        fix = "; `trackwright import` subtracts it, as t_s=stamp-1777904000" * (unit == "seconds")
         yield CheckResult("warning" if fix else "error", "t_s", message + fix)
     if shortest >= 5 and last - first > 1000 and unit in ("", "seconds"):
         message = f"rows {shortest:.4g} s apart over {last - first:.6g} s: looks like milliseconds, expected seconds"
