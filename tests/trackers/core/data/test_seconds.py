@@ -95,5 +95,5 @@ def test_notices_and_checks_name_times_that_count_from_1970_by_the_seconds_since
         result.message for result in check(RecordingFolder("hall", None, rig, {"ranges": ranges, "truth": truth}))
     )
     assert "the truth, 2026-05-04 14:13:20 UTC to 2026-05-04 14:13:49.9 UTC; the measurements begin at" in said
-    assert "`trackwright import --origin start`" in said
+    assert "`trackwright import` subtracts it" in said
     assert "e+09" not in said
