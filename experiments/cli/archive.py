@@ -69,7 +69,9 @@ class Archive(Store[Path, Result]):
         run_file_of(self.name)  # a user's file may add the kind of the recording's tables
         calibration, recording = self.options.used.read_calibration(), tw.read(path)
         folder, lines = ready(recording, self.options.used, self.options.force, calibration)
-        run, more = runs.tracked(self.name, [replace(folder, name=self.names[path])], self.options, runs.silent)
+        run, more = runs.tracked(
+            self.name, [replace(folder, name=self.names[path])], self.options, lambda *_: lambda *_: None
+        )
         return Found(run.tracks.summaries, [*map(one_line, (*lines, *more))], runs.files_of(run) | {ROWS: run.rows})
 
     @cached_property

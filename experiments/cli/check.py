@@ -20,9 +20,7 @@ Names = Annotated[str, Parameter(metavar="A1,A2,…")]
 def check(*recordings: Recording, tracker: Name | None = None) -> int:
     """Check the data: time base, gaps, outliers, ids, units, geometry.
 
-    Truth is checked too, if there is any.
-
-    The exit code is 1 if there are errors.
+    Truth is checked too, if there is any. The exit code is 1 if there are errors.
 
     Args:
         recordings: recording folders (rig.toml and tables), or folders of these.
@@ -155,7 +153,6 @@ def trackers(tracker: Name | None = None, folder: Path | None = None, /) -> int:
     named = build(tracker, recording)
     for name, meaning in meanings(named.tracker).items():
         node = named.tunables[name]
-        bounds = f" ({node.bounds})" * bool(node.bounds)
-        about = f"{name} = {node.value} {node.unit.removeprefix('1')}".rstrip() + f"{bounds}: {meaning}"
-        print(textwrap.fill(about, 120, subsequent_indent="    ", break_on_hyphens=False))
+        value = f"{node.value} {node.unit.removeprefix('1')}".rstrip() + f" ({node.bounds})" * bool(node.bounds)
+        print(textwrap.fill(f"{name} = {value}: {meaning}", 120, subsequent_indent=" " * 4, break_on_hyphens=False))
     return 0

@@ -47,21 +47,12 @@ def application() -> App:
 
 def new_app(name: str, about: str | None = None, version: str | None = None) -> App:
     """A program, or a family of commands, whose errors are left to the caller."""
+    options = Parameter(negative=(), consume_multiple=1, allow_repeating=True, show_default=False, converter=_read)
     return App(
-        name=name,
-        help=about,
-        version=version,
-        version_flags=() if version is None else ("--version", "-V"),
-        help_flags=("--help", "-h", "--help-all"),
-        help_format="markdown",
-        default_parameter=Parameter(
-            negative=(), consume_multiple=1, allow_repeating=True, show_default=False, converter=_read
-        ),
-        result_action="return_value",
-        exit_on_error=False,
-        print_error=False,
-        suppress_keyboard_interrupt=False,
-    )
+        name=name, help=about, help_flags=("--help", "-h", "--help-all"), help_format="markdown", version=version,
+        version_flags=() if version is None else ("--version", "-V"), default_parameter=options, print_error=False,
+        result_action="return_value", exit_on_error=False, suppress_keyboard_interrupt=False,
+    )  # fmt: skip
 
 
 def _read(kind: Any, tokens: Sequence[Token]) -> Any:

@@ -12,21 +12,12 @@ from trackwright.experiments.cli.options import File, Folder, Name, Numbers
 from trackwright.trackers.core.errors import UnusableInput
 
 Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
-FormatName = Annotated[
-    str,
-    Parameter(
-        metavar="NAME",
-        help="of the file: csv, json, tum, ros, or FILE.py:NAME of a function of your own, from its path to tables; "
-        "default: by its ending, else csv.",
-    ),
-]
-"""A format by name, or a user's own."""
 
 
 def import_source(
     source: Path, /, *, out: Folder, table: Table | None = None,
     columns: tuple[Annotated[str, Parameter(metavar="TARGET=COLUMN")], ...] = (), mapping: File | None = None,
-    topic: str | None = None, tag: str | None = None, rig: File | None = None, format: FormatName | None = None,
+    topic: str | None = None, tag: str | None = None, rig: File | None = None, format: Name | None = None,
     separator: str | None = None, decimal: Literal[".", ","] = ".",
     transform: Annotated[str, Parameter(metavar="X,Y,Z,YAW,S", allow_leading_hyphen=True)] | None = None,
     align_truth: bool = False, header: Annotated[str, Parameter(metavar="LINE|none")] = "", skip: int = 0,
@@ -49,6 +40,8 @@ def import_source(
         topic: of a bag.
         tag: the id of the tag, where no column has it.
         rig: a rig.toml with the positions of anchors or stations, or a table of anchors with columns anchor, x, y, z.
+        format: csv, json, tum, ros, or FILE.py:NAME of a function of your own, from a path to tables; default: by the
+            file's ending, else csv.
         separator: of the cells of a table in text, ' ' for blanks; default: the one in its header.
         decimal: the mark in the numbers of a table in text.
         transform: brings a truth over to the frame of the rig and the clock of the readings: a turn about z by YAW, °,

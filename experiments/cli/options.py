@@ -98,9 +98,7 @@ class Readings(Part):
     """
 
     calibration: File | None = None
-    average: Annotated[float, Parameter(metavar="S", validator=_number(0, words="seconds from 0 on")), RARE] | None = (
-        None
-    )
+    average: Annotated[Span, RARE] | None = None
 
     def read_calibration(self) -> Calibration | None:
         """The calibration, None without one; raises UnusableInput."""
@@ -242,7 +240,7 @@ class EvaluateOptions:
     Args:
         truth: recordings with truth, or a trajectory file of the one tag; default: the tracked recordings.
         align: fit each track to its truth first: se3, sim3 (with scale), scale, se2 (in x and y), origin (first pose).
-        time_offset: added to the times of the estimates; auto: the one that fits best.
+        time_offset: added to the times of the estimates.
         time_tolerance: largest distance in time between a pose and its true pose.
         rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
         json: print all metrics of a run as JSON instead of a table.
@@ -253,17 +251,12 @@ class EvaluateOptions:
     truth: Annotated[tuple[Annotated[Path, Parameter(metavar="FOLDER|FILE")], ...], Parameter(group=INPUT)] = ()
     used: Part = field(default_factory=Part)
     align: Alignment | None = None
-    time_offset: Annotated[Literal["auto"] | float, Parameter(metavar="S|auto")] = 0.0
+    time_offset: Seconds = 0.0
     time_tolerance: Annotated[Seconds, RARE] = 0.01
     rpe: tuple[Annotated[str, Parameter(metavar="STEP")], ...] = ()
     json: Annotated[bool, Parameter(group=OUTPUT)] = False
     fail_if: Annotated[str, Parameter(metavar="CONDITION", group=OUTPUT)] | None = None
     out: Out | None = None
-
-    @property
-    def of_poses(self) -> bool:
-        """Whether pose errors are asked for."""
-        return self.align is not None or bool(self.rpe) or (self.time_offset, self.time_tolerance) != (0.0, 0.01)
 
 
 def settings(options: TrackOptions | TuneOptions, **without: Any) -> str:

@@ -22,9 +22,9 @@ from trackwright.trackers.core.errors import UnusableInput
 def track(*recordings: Recording, options: TrackOptions) -> int:
     """Track recordings: estimates, error metrics, a page with playback.
 
-    Writes tracks.parquet, report.html and manifest.json; prints error metrics where there is
-    truth. With a folder of folders, more than 60 recordings or --cluster each recording is tracked by itself and kept,
-    so that the same command continues, and those that fail are left out, with exit code 3.
+    Writes tracks.parquet, report.html and manifest.json; prints error metrics where there is truth. With a folder of
+    folders, more than 60 recordings or --cluster each recording is tracked by itself and kept, so that the same command
+    continues, and those that fail are left out, with exit code 3.
 
     Args:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
@@ -57,14 +57,14 @@ DEFAULTS, NUMBERS, READINGS = EvaluateOptions(), Numbers(), Readings()
 def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> int:
     """Error metrics of estimates against truth; a comparison of runs.
 
-    By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, KITTI, EuRoC, or a table
-    with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
+    By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, or a table with t_s,
+    x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
 
     Of several runs: their metrics side by side, and each one's differences from the first, with --out alone.
 
     Args:
         runs: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
-            tag, which --tag names; to compare, two or more folders of `track`, or two or more of `study`.
+            tag; to compare, two or more folders of `track`.
     """
     from trackwright.experiments.cli.evaluating import evaluate_poses, evaluate_run, print_comparison
 
@@ -78,8 +78,9 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
         raise UnusableInput("evaluate: --out is the folder for a comparison; expected two runs or more; leave it out")
     if not run.exists():
         raise UnusableInput(f"{run}: no such file; expected a folder with tracks.parquet, or a file of estimates")
-    of_poses = run.is_file() or options.of_poses or not all(path.is_dir() for path in truth)
-    return evaluate_poses(run, options) if of_poses else evaluate_run(run, options)
+    plain = EvaluateOptions(truth=truth, used=options.used, json=options.json, fail_if=options.fail_if)
+    of_poses = run.is_file() or options != plain or not all(path.is_dir() for path in truth)
+    return (evaluate_poses if of_poses else evaluate_run)(run, options)
 
 
 def tune(*recordings: Recording, options: TuneOptions) -> int:

@@ -17,7 +17,7 @@ from trackwright.experiments.pages.report import typed
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.pages.track import PAGE, run_data, write_track_page
 from trackwright.experiments.text.tables import terminal_width, to_json, to_text
-from trackwright.experiments.text.terminal import Advance, Begin, notice
+from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.wording import counted
@@ -32,22 +32,13 @@ MUCH = 0.3
 
 
 class ScoredRun(NamedTuple):
-    """What one tracker found in recordings: `tracks`, and their `scored_rows`."""
+    """What one tracker found in recordings: `tracks`, and their scored rows and metrics."""
 
     named: tw.NamedTracker
     folders: Sequence[tw.RecordingFolder]
     tracks: tw.Tracks
     rows: pl.DataFrame
-
-    @property
-    def evaluation(self) -> tw.Evaluation:
-        """The metrics."""
-        return tw.Evaluation.of(self.rows)
-
-
-def silent(name: str, total: int | None = None) -> Advance:
-    """Begins a stage of which nobody hears."""
-    return lambda done, now="": None
+    evaluation: tw.Evaluation
 
 
 def files_of(found: ScoredRun) -> dict[str, Content]:
@@ -81,7 +72,7 @@ def tracked(
         refuse_without_overlap(rows, truths_of(folders))
     except tw.UnusableInput as problem:
         lines.append(f"not evaluated: {problem}")
-    return ScoredRun(named, folders, tracks, rows), [*tracks.notices, *lines]
+    return ScoredRun(named, folders, tracks, rows, tw.Evaluation.of(rows)), [*tracks.notices, *lines]
 
 
 def track_together(
