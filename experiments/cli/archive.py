@@ -51,8 +51,7 @@ class Found:
     files: dict[str, Content] = field(default_factory=dict)
 
 
-Result = Found | str
-"""Of a recording that could not be used, the reason, in a line that names it."""
+Result = Found | str  # of a recording that could not be used, the reason, in a line that names it
 
 
 @dataclass(frozen=True)
@@ -69,9 +68,8 @@ class Archive(Store[Path, Result]):
         run_file_of(self.name)  # a user's file may add the kind of the recording's tables
         calibration, recording = self.options.used.read_calibration(), tw.read(path)
         folder, lines = ready(recording, self.options.used, self.options.force, calibration)
-        run, more = runs.tracked(
-            self.name, [replace(folder, name=self.names[path])], self.options, lambda *_: lambda *_: None
-        )
+        one = replace(folder, name=self.names[path])
+        run, more = runs.tracked(self.name, [one], self.options, lambda *_: lambda *_: None)
         return Found(run.tracks.summaries, [*map(one_line, (*lines, *more))], runs.files_of(run) | {ROWS: run.rows})
 
     @cached_property

@@ -42,8 +42,7 @@ def check(*recordings: Recording, tracker: Name | None = None) -> int:
 def calibrate_recordings(*recordings: Recording, out: File, force: bool = False) -> int:
     """Fit systematic errors of stations and anchors against truth.
 
-    Writes a file for `--calibration` of other commands, and beside it a page with figures. Recordings to be tracked or
-    tuned with the result should be others than these.
+    Writes a file for `--calibration` of other commands, to be used with other recordings, and a page beside it.
 
     Args:
         recordings: recording folders with truth, and bearings, ranges or tdoa; each has the same weight.

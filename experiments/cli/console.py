@@ -19,8 +19,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder, read_recordi
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.calibration import Calibration
 
-LEFT_OUT = 3
-"""The exit code where recordings were left out, and the others done."""
+LEFT_OUT = 3  # the exit code where recordings were left out, and the others done
 
 
 def write_manifest(out: Path, **about: Any) -> None:

@@ -46,9 +46,7 @@ RARE = Parameter(group=RARELY, show="--help-all" in sys.argv)
 
 Folder = Annotated[Path, Parameter(metavar="FOLDER")]
 Out = Annotated[Path, Parameter(metavar="FOLDER", validator=_output, group=OUTPUT)]
-Recording = Annotated[Path, Parameter(required=True)]
-"""One of the positional folders, of which a command needs one at least."""
-
+Recording = Annotated[Path, Parameter(required=True)]  # one at least
 File = Annotated[Path, Parameter(metavar="FILE")]
 Seconds = Annotated[float, Parameter(metavar="S", validator=_number(-math.inf, words="seconds"))]
 Span = Annotated[float, Parameter(metavar="S", validator=_number(0, 1e6, "seconds from 0 on"))]
@@ -59,9 +57,6 @@ Name = Annotated[str, Parameter(metavar="NAME")]
 Cluster = Annotated[str, Parameter(metavar="ADDRESS")]
 Least1 = Annotated[int, Parameter(validator=_number(1))]
 Figures = Annotated[Literal["none", "page", "png", "pdf"], Parameter(group=OUTPUT)]
-
-Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
-"""As `trackers.exchange.pose_errors.Alignment`, which takes longer to import."""
 
 
 @Parameter(name="*", group=INPUT)
@@ -250,7 +245,7 @@ class EvaluateOptions:
 
     truth: Annotated[tuple[Annotated[Path, Parameter(metavar="FOLDER|FILE")], ...], Parameter(group=INPUT)] = ()
     used: Part = field(default_factory=Part)
-    align: Alignment | None = None
+    align: Literal["none", "se2", "se3", "sim3", "scale", "origin"] | None = None
     time_offset: Seconds = 0.0
     time_tolerance: Annotated[Seconds, RARE] = 0.01
     rpe: tuple[Annotated[str, Parameter(metavar="STEP")], ...] = ()

@@ -17,12 +17,11 @@ from trackwright.trackers.core.errors import UnusableInput
 if TYPE_CHECKING:
     from trackwright.sim.worlds import SimulatedWorld
 
-HELP = {
+HELP = {  # of the options that all worlds share
     "out": "the folder to write, one recording in Parquet; it must not exist or be empty.",
     "n": "trajectories, each of a tag, or body, of its own.",
     "seed": "the same seed gives the same numbers; a trajectory depends on the seed and its own number alone.",
 }
-"""The help of the options that all worlds share."""
 
 
 def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:

@@ -18,8 +18,7 @@ def study(
 ) -> int:  # fmt: skip
     """Run a Monte Carlo study: worlds × trackers × a grid × runs.
 
-    Writes report.html and results.json. `trackwright study NAME`, `FILE.toml` or `FILE.py` runs a study, or
-    continues an interrupted one; without a name the studies that come with the package are listed.
+    Writes report.html and results.json. An interrupted study continues; without a name those of the package are listed.
 
     Args:
         what: a name from the list, or a file.

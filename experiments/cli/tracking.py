@@ -27,8 +27,7 @@ from trackwright.trackers.programs.program_cache import give_back
 from trackwright.trackers.recordings.atomic import Content, write_whole
 from trackwright.trackers.recordings.tracks_table import EVALUATION, RESULTS, SOURCES, TRACKS, sources_text
 
-MUCH = 0.3
-"""The regret of NIS, nats, from which on innovations contradict the noise levels."""
+MUCH = 0.3  # the regret of NIS, nats, from which on innovations contradict the noise levels
 
 
 class ScoredRun(NamedTuple):
@@ -101,8 +100,7 @@ def track_together(
         page = run_data(scored, known, f"{name}: {run.named.spec.about}", name)
         write_track_page(out / PAGE, [page], typed(sys.argv))
         written.append(PAGE)
-    if options.figures == "png" or options.figures == "pdf":
-        # matplotlib takes a third of a second to import.
+    if options.figures == "png" or options.figures == "pdf":  # matplotlib takes a third of a second to import
         from trackwright.experiments.pages.charts import plot_tracks
 
         begin("figures")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from time import monotonic
 
 import numpy as np
 import polars as pl
@@ -104,13 +103,12 @@ def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
     def report(state: FitState) -> None:
         """Advances the bar of the steps, which begins after the first evaluation."""
         best, done = int(state.best_scores.argmin()), 1 if advance else int(state.number)
-        advance.extend([] if advance else [begin("step", options.steps)])
+        advance.extend([] if advance else [begin("step", steps)])
         advance[0](done, f"objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g}")
 
-    how = tw.FitOptions(
-        frozen=options.freeze, bounds=bounds, steps=options.steps, starts=options.starts, prior=options.prior
-    )
-    begin("searching for starts" if options.starts > 1 else "first evaluation")
+    steps, starts = options.steps, options.starts
+    how = tw.FitOptions(frozen=options.freeze, bounds=bounds, steps=steps, starts=starts, prior=options.prior)
+    begin("searching for starts" if starts > 1 else "first evaluation")
     depends, place = {"options": settings(options, resume=False, figures="page")}, Progress(report=report, stage=begin)
     out, say = output_folder(options.out), lambda line: notices([line])
     return kept_fit(data, tune, how, place, out, depends, options.resume, say)
@@ -121,7 +119,7 @@ def sweep_folders(
     begin: Begin,
 ) -> None:  # fmt: skip
     """Evaluates the objective on the grid, writes all files and prints the best point."""
-    started, named = monotonic(), numbers.build(chosen_tracker(folders, numbers), [*folders])
+    named = numbers.build(chosen_tracker(folders, numbers), [*folders])
     group = named.only_batch(folders)
     data = fit_data(group, objective, dimensions=2)
     try:
@@ -138,5 +136,4 @@ def sweep_folders(
     write(pages.sweep_chart(swept, f"RMSE ({unit})" if objective == "rmse" else objective), out / "sweep.png")
     write_manifest(out, tracker=named.name, recordings=[str(folder.path) for folder in folders], best=swept.best)
     print(swept.text(objective, unit if objective == "rmse" else ""))
-    print(f"{swept.filter_runs} trajectories filtered in {monotonic() - started:.1f} s")
-    print(f"wrote {out / 'sweep.csv'}, sweep.png and manifest.json")
+    print(f"{swept.filter_runs} trajectories filtered; wrote {out / 'sweep.csv'}, sweep.png and manifest.json")
