@@ -21,19 +21,12 @@ from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate
 from trackwright.trackers.evaluation.rows import AXES
 from trackwright.trackers.exchange.mapping import refuse_lost_digits, without_identities
 from trackwright.trackers.exchange.text_tables import Reading, numbers_of, read_rows
+from trackwright.trackers.recordings import tables as table_times
 from trackwright.trackers.recordings.atomic import write_whole
 from trackwright.trackers.recordings.columns import QUATERNION, float_column
 from trackwright.trackers.recordings.folder import RecordingFolder, Selection, read_recording, read_recordings
 from trackwright.trackers.recordings.rig_file import RIG_FILE
-from trackwright.trackers.recordings.tables import (
-    SUFFIXES,
-    TableFile,
-    check_stds,
-    first_row,
-    read_table_file,
-    restarted_at,
-    unwrapped_times,
-)
+from trackwright.trackers.recordings.tables import SUFFIXES, TableFile, check_stds, first_row, read_table_file
 from trackwright.trackers.recordings.tracks_table import is_bearing, read_tracks
 
 TUM = ("t_s", *AXES, *QUATERNION[1:], QUATERNION[0])
@@ -122,10 +115,10 @@ def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
     table, notices = without_identities(table)
     keys, tracks = [name for name in ("recording", "tag", "station") if name in columns], list[pl.DataFrame]()
     for rows in table.partition_by(keys, maintain_order=True) if keys else [table]:
-        times, said = unwrapped_times(rows["t_s"].to_numpy())
+        times, said = table_times.unwrapped_times(rows["t_s"].to_numpy())
         tracks.append(rows.with_columns(t_s=times).sort("t_s", maintain_order=True))
         refuse_lost_digits(f"{path}", tracks[-1])
-        if (at := restarted_at(times)) is not None:
+        if (at := table_times.restarted_at(times)) is not None:
             found = f"pose {at + 1}: {times[at]:.3f} s after {times[:at].max():.3f} s: the clock went back"
             raise UnusableInput(f"{path}: {found}; expected times that increase; make two files of it")
         late = int((np.diff(times) < 0).sum())
