@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 
-from trackwright.sim.corruptions import white_noise
+from trackwright.sim.corruptions import gauss_markov
 from trackwright.sim.keys import trajectory_keys
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.tuning.optimisation import LBFGS
@@ -25,7 +25,7 @@ def test_tuning():
 
 
 def test_sim():
-    corrupt, keys = white_noise(0.1), trajectory_keys(0, [0, 1])
+    corrupt, keys = gauss_markov(0.1, 1.0), trajectory_keys(0, [0, 1])
     values, seen = np.zeros((2, 5, 3)), np.ones((2, 5, 3), bool)
     corrupt(keys, np.arange(5.0), values, seen)
     for times, mask in ((np.arange(4.0), seen), (np.arange(5.0), np.ones((2, 5, 3)))):

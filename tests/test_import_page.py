@@ -83,7 +83,7 @@ def test_every_command_of_the_page_runs_on_the_files_that_it_describes(files):
         ),
         (
             "{'fixes': pl.DataFrame({'t_s': [None], 'x_m': [0.0], 'y_m': [0.0], 'z_m': [0.0]})}",
-            ("row 1, column t_s: no time",),
+            ("row 1, column t_s: empty, expected seconds",),
         ),
         ("{'fixes': pl.DataFrame({'t_s': [0.0], 'x_m': ['a'], 'y_m': [0.0], 'z_m': [0.0]})}", ("column x_m: 'a'",)),
         (

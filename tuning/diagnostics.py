@@ -1,35 +1,19 @@
-"""NIS of a filter against its distribution: the band of means, quantiles and the density."""
+"""NIS of a filter against its distribution: the band of means and quantiles."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from jaxtyping import Float, Num
+from jaxtyping import Float
 
 from trackwright.trackers.core.data.consistency import chi_square_quantile
-from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.run.tracker import AbstractTracker
-
-
-@dataclass(frozen=True)
-class Innovations:
-    """NIS (n,) with degrees of freedom (n,) of rows.
-
-    `student_t_dof`: degrees of freedom of Student's t noise, with which NIS is not χ²; None for normal noise.
-    """
-
-    nis: Float[np.ndarray, " n"]
-    dof: Num[np.ndarray, " n"]
-    student_t_dof: float | None = None
 
 
 def student_t_dof_of(tracker: AbstractTracker) -> Scalar | None:
@@ -51,20 +35,6 @@ def _student_t_dof(sensor: AbstractSensor) -> Scalar | None:
     reading = Reading(zeros, [x > 0 for x in ones], [jnp.asarray(0.0)] * len(sensor.reported))
     # In a compiled program the residual itself, which nobody asks for, is not computed.
     return jax.jit(lambda: sensor.residual(reading, zeros).dof)()
-
-
-def innovations_of(tracker: AbstractTracker, runs: Sequence[Estimates]) -> Innovations | None:
-    """Innovations of all rows with a NIS, None where the distribution of NIS is unknown."""
-    try:
-        nu = student_t_dof_of(tracker)
-    except ValueError:
-        return None
-    used = [np.isfinite(run.nis) & (run.nis_dof > 0) & run.usable for run in runs]
-    nis, dof = (
-        np.concatenate([getattr(run, name)[rows].astype(float) for run, rows in zip(runs, used, strict=True)])
-        for name in ("nis", "nis_dof")
-    )
-    return Innovations(nis, dof, None if nu is None else float(np.asarray(nu)))
 
 
 def nis_band(
@@ -102,24 +72,3 @@ def nis_quantile(probability: float, dof: float, student_t_dof: float | None = N
         return chi_square_quantile(probability, dof)
     a, b, scale = student_t_nis_beta(dof, student_t_dof)
     return float(scale * scipy.special.betaincinv(a, b, probability))
-
-
-def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Float[np.ndarray, " n"]:
-    """The density of a consistent filter's NIS at positive `x`, over the rows' degrees of freedom.
-
-    A mixture of χ², or for Student's t of the beta distributions of `student_t_nis_beta`.
-    """
-    density = np.zeros(len(x))
-    for dof, count in zip(*np.unique(innovations.dof, return_counts=True), strict=True):
-        if innovations.student_t_dof is None:
-            of_dof = np.exp((0.5 * dof - 1) * np.log(x) - 0.5 * x - 0.5 * dof * np.log(2) - math.lgamma(0.5 * dof))
-        else:
-            a, b, scale = student_t_nis_beta(dof, innovations.student_t_dof)
-            # Below two degrees of freedom b may be below one, and the density rises without limit towards `scale`.
-            inside = x < scale
-            u = x[inside] / scale
-            log_u = scipy.special.xlogy(a - 1, u) + scipy.special.xlog1py(b - 1, -u)
-            of_dof = np.zeros(len(x))
-            of_dof[inside] = np.exp(log_u - scipy.special.betaln(a, b)) / scale
-        density += count / len(innovations.dof) * of_dof
-    return density

@@ -149,11 +149,6 @@ def component_names(parameters: Sequence[Parameter]) -> list[str]:
     return [".".join([p.label, *map(str, index)]) for p in parameters for index in np.ndindex(*p.shape)]
 
 
-def component_kinds(parameters: Sequence[Parameter]) -> list[type]:
-    """The type of tunable of each unconstrained number."""
-    return [type(p.example) for p in parameters for _ in range(p.size)]
-
-
 def flatten(parameters: Sequence[Parameter]) -> Float[np.ndarray, " p"]:
     """The unconstrained vector of the parameters' present values."""
     return np.concatenate([np.zeros(0), *(np.ravel(np.asarray(p.example.raw, float)) for p in parameters)])

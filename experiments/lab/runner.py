@@ -11,13 +11,11 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fnmatch import fnmatch
 from functools import cache
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import atomic_write
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 """The checkout: the folder `trackwright` in it holds links."""
@@ -94,13 +92,16 @@ def _row(case: Case) -> dict[str, str]:
 
 def text(value: Any) -> str:
     """The cell of a value: floats with six significant digits, nothing for None and NaN."""
-    if value is None or (isinstance(value, float | np.floating) and np.isnan(value)):
+    if value is None or value != value:
         return ""
-    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
+    return f"{value:.6g}" if isinstance(value, Real) and not isinstance(value, Integral) else str(value)
 
 
 def write(file: Path, rows: Sequence[Mapping[str, str]]) -> Path:
     """Write a table; a row may lack columns."""
+    # polars takes a quarter of a second to import, which the help of `demo` need not wait for.
+    from trackwright.trackers.recordings.atomic import atomic_write
+
     columns = list(dict.fromkeys([*KEY, *(name for row in rows for name in row if name != "error"), "error"]))
 
     def to(path: Path) -> None:

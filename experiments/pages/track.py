@@ -36,9 +36,6 @@ MOST_ROWS, MOST_TRACKS, MOST_POINTS, MOST_EVENTS = 25_000, 300, 12_000, 1_000
 MOST_RECORDINGS, MOST_LISTED = 60, 40
 """The most recordings of a page, and the most tracks in its table: those with the largest errors."""
 
-NO_EVENTS = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
-"""The events of estimates that were not tracked here."""
-
 FAR_M = 500.0
 """Distance from the origin, m, from which the page holds positions relative to another one."""
 

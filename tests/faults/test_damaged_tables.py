@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import pytest
 
 from tests.faults.recordings import broken_recording
-from tests.in_process import assert_refused, trackwright
+from tests.in_process import trackwright
 
 
 def _wrong(words, folder, out):
@@ -49,19 +48,3 @@ def test_a_damaged_recording_is_read_or_refused_in_a_line(command, count, tmp_pa
         if wrong := _wrong(words, folder, out / str(number)):
             failed.append(f"{number}: {faults}: {wrong}")
     assert not failed
-
-
-CELLS = [[], {}, {"cells": [{}]}, {"cells": 3}, {"cells": [{"world": 1, "point": [], "figures": {}}]}]
-CHANGES = [{"overall": None}, {"overall": {"rmse_m": "x"}}, {"recordings": [3]}, {"recordings": [{}]}]
-METRICS = [{"kind": "position", "overall": {"rmse_m": 1.0}, "recordings": []} | change for change in CHANGES]
-
-
-@pytest.mark.parametrize(
-    ("name", "content"), [*(("results.json", x) for x in CELLS), *(("evaluation.json", x) for x in METRICS)]
-)
-def test_results_and_metrics_that_no_command_wrote_are_refused(tmp_path, name, content):
-    for folder in (tmp_path / "a", tmp_path / "b"):
-        folder.mkdir()
-        (folder / name).write_text(json.dumps(content))
-    said = trackwright("evaluate", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
-    assert_refused(said, f"a/{name}: cannot be read")

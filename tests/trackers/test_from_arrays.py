@@ -75,7 +75,12 @@ RANGES_M = np.linalg.norm(HALL - np.array([3.0, 2.0, 1.0]), axis=1) * np.ones((3
 @pytest.mark.parametrize(
     ("times", "ranges", "anchors", "words"),
     [
-        (TIMES, RANGES_M * 1000, HALL, "range_recording: typical range_m 5,405 m, .* looks like millimetres"),
+        (
+            TIMES,
+            RANGES_M * 1000,
+            HALL,
+            "range_recording: typical range_m 5,405 m, .* looks like centimetres, millimetres or another frame",
+        ),
         (TIMES, RANGES_M, HALL * 1000, "anchors .* m apart, ranges of .* looks like millimetres"),
         (TIMES, np.where(np.eye(3, 4) > 0, np.inf, RANGES_M), HALL, "ranges: row 0 is infinite"),
         (np.array([0.0, 1.0, 0.9]), RANGES_M, HALL, r"times\[2\] = 0.9 s comes before"),

@@ -93,7 +93,7 @@ def test_track_names_the_fit_where_innovations_contradict_the_levels_and_does_it
     write_recording(_walk(0.02, _white(0.02)), tmp_path / "walk")
     plain = ("track", tmp_path / "walk", "--figures", "none", "--out")
     said = trackwright(*plain, tmp_path / "a")
-    assert "--fit fits noise levels to the readings" in " ".join(said.err.split())
+    assert "--fit fits them to the readings" in " ".join(said.err.split())
     line = "walk: fitted to its readings: motion.sigma_a 1 → "
     said = trackwright(*plain, tmp_path / "b", "--fit")
     assert (said.code, "--fit" in said.err) == (0, False)

@@ -72,7 +72,7 @@ def test_a_table_with_standard_deviations_gets_its_nees(beginnings, truth, tmp_p
     assert overall["rmse_m"] == pytest.approx(0.1)
     own.with_columns(std_x_m=-0.1, std_z_m=0.0).write_csv(tmp_path / "own.csv")
     said = trackwright("evaluate", tmp_path / "own.csv", "--truth", beginnings / "good", "--tag", "T1")
-    assert_refused_last(said, "row 1 (line 2), column std_x_m: -0.1, expected a standard deviation above zero")
+    assert_refused_last(said, "row 1 (line 2), column std_x_m: '-0.1', expected a standard deviation above zero")
 
 
 @pytest.fixture

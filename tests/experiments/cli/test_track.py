@@ -57,7 +57,7 @@ def _pictures(folder):
 def test_a_run_folder_has_tables_metrics_figures_a_page_and_a_manifest(vehicles):
     said, read, folder = vehicles
     assert said.code == 0, said
-    assert {"floor-plan", "error-cdf", "nees-over-time", "nis-histogram", "coverage"} <= _pictures(folder)
+    assert {"floor-plan", "error-cdf", "nees-over-time", "nis-over-time", "coverage"} <= _pictures(folder)
     assert said.out.splitlines()[0] == "6 tracks: 6 ok"
     assert said.out.splitlines()[-1].startswith(f"wrote {folder / 'tracks.parquet'} (240 estimates), ")
     assert f"{len(_pictures(folder))} figures" in said.out.splitlines()[-1]
@@ -91,7 +91,7 @@ def test_without_truth_tracks_are_written_but_not_evaluated(vehicles, tmp_path):
     assert said.code == 0
     assert "errors in" not in said.out
     assert "Without truth: " in said.out
-    assert _pictures(tmp_path / "run") == {"floor-plan"}
+    assert _pictures(tmp_path / "run") == {"floor-plan", "nis-over-time"}
     assert _tracks(tmp_path / "run").equals(_tracks(folder))
     assert_refused(trackwright("evaluate", tmp_path / "run"), "blind", "no truth table")
     assert _overall(tmp_path / "run", "--truth", read) == _overall(folder)
@@ -206,7 +206,7 @@ def test_runs_are_compared_in_one_table_with_paired_differences(tmp_path):
     assert "adjusted for" in said.out
     assert [line.split()[0] for line in said.out.splitlines() if " RMSE, " in line] == ["moving-average"]
     # The distribution of errors, their boxes, and a floor plan by each tracker.
-    assert (tmp_path / "all" / "comparison.html").read_text().count('<div class="chart">') == 4
+    assert (tmp_path / "all" / "comparison.html").read_text().count('<div class="chart">') == 2
 
 
 def test_recordings_that_cannot_be_read_or_lack_what_the_tracker_reads_cost_their_own_line(tmp_path):

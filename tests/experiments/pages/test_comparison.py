@@ -79,7 +79,7 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(runs, tmp_path):
     ):
         assert_refused(trackwright("evaluate", good, other), says)
     refused = trackwright("evaluate", good, runs / "median", "--fail-if", "rmse_m>1")
-    assert_refused(refused, "2 runs to compare; expected no option but --json and --out")
+    assert_refused(refused, "2 runs to compare; expected no option but --out")
 
 
 def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():

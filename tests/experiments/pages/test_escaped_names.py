@@ -45,7 +45,7 @@ FIT = ("tune", "--tracker", "fix-kf", "--steps", 2, "--starts", 1, "--out", "fit
 @pytest.mark.parametrize(
     ("command", "least"),
     [
-        (("track", "--tracker", "fix-kf,median", "--out", "out"), 2),
+        (("track", "--tracker", "fix-kf", "--out", "out"), 1),
         pytest.param(FIT, 1, marks=pytest.mark.slow),
         pytest.param(("calibrate", "--out", "calibration.toml"), 1, marks=pytest.mark.slow),
     ],

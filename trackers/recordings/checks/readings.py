@@ -130,10 +130,6 @@ class Compared(NamedTuple):
             sizes[k] = np.where(known, known_median(np.abs(part - middle)), np.nan)
         return sizes
 
-    def medians(self, errors: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "G m"]:
-        """The median error of each group and column."""
-        return np.stack([known_median(errors[self.group == k]) for k in range(len(self.ids))])
-
 
 def compared(recording: RecordingFolder, table: str) -> Compared | None:
     """The readings of a table beside the truth; None where too few of them have a true position."""
@@ -162,11 +158,6 @@ def compared(recording: RecordingFolder, table: str) -> Compared | None:
     fields = {name: getattr(view.sensors, name)[used] for name in names}
     view = view.changed(**fields, number=new[view.sensors.number], group=new[view.group], ids=(*compress(ids, used),))
     return view if len(view.group) else None
-
-
-def cauchy_weights(errors: np.ndarray, scale: float | np.ndarray) -> np.ndarray:
-    """The weights of errors with this robust standard deviation: a tenth at three of them."""
-    return np.asarray(1.0 / (1.0 + (errors / scale) ** 2))
 
 
 def derivatives(errors: Callable[[np.ndarray], np.ndarray], x: np.ndarray, there: np.ndarray) -> np.ndarray:

@@ -99,6 +99,13 @@ def check_units(rig: Rig, tables: Tables) -> Results:
     if far := [name for name, one in zip(named, away, strict=False) if one > max(FAR_M, 20 * np.median(away))]:
         yield CheckResult("error", "rig.toml", f"{listed(far)}: far from all others; correct the coordinates")
     across = float(np.linalg.norm(np.ptp(places, axis=0))) if len(places) > 1 else None
+    at = np.reshape([*rig.anchors.values()], (-1, 3))
+    typical = tables["ranges"]["range_m"].abs().median() if "ranges" in tables and len(at) > 1 else None
+    if isinstance(typical, float) and math.isfinite(typical):
+        apart = float(np.median(np.sort(np.linalg.norm(at[:, None] - at, axis=-1), axis=1)[:, 1]))
+        if apart >= max(100 * typical, FAR_M):
+            lengths = f"anchors {apart:,.5g} m apart, ranges of {typical:.3g} m"
+            yield CheckResult("error", "rig.toml", f"{lengths}: looks like millimetres, expected metres")
     site = "" if across is None else f", the rig is {significant(across, 3)} m across"
     for table, rows in tables.items():
         for name, of, x, bound in _series(table_kinds()[table], rows, rig, 20 * max(across or FAR_M / 20, 1.0)):

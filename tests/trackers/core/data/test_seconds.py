@@ -58,7 +58,6 @@ def test_tables_with_time_stamps_are_in_seconds():
     table = pl.DataFrame({"t_s": STAMPS, "tag": "T", "x_m": 0.0, "y_m": 0.0, "z_m": 0.0})
     folder = RecordingFolder("stamped", None, Rig("stamped"), {"fixes": table})
     assert folder.rows("fixes").times == pytest.approx(TRUE, abs=1e-6)
-    assert "2026-03-01 12:00:00 UTC" in folder._repr_html_()
     assert first_time(folder.tables) == TRUE[0]
 
 
