@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, significant
 from trackwright.trackers.core.model.tunable import role_of
-from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning.fitting import FitOptions, fit

@@ -56,7 +56,7 @@ def import_source(
         replace: a table that the recording in --out has already.
     """
     from trackwright.experiments.text.terminal import notice
-    from trackwright.trackers.core.wording import counted
+    from trackwright.trackers.core.errors import counted
     from trackwright.trackers.exchange.importing import import_file
     from trackwright.trackers.exchange.mapping import TableMapping, read_mapping
     from trackwright.trackers.exchange.text_tables import columns_of

@@ -30,7 +30,7 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
     def simulate(out: Any, **given: Any) -> int:
         numbers = {p.name: given.get(p.name, p.default) for p in options[1:]}
         from trackwright.experiments.cli.console import write_manifest
-        from trackwright.trackers.core.wording import counted
+        from trackwright.trackers.core.errors import counted
         from trackwright.trackers.recordings.folder import write_recording
 
         try:

@@ -20,7 +20,7 @@ from trackwright.experiments.text.tables import terminal_width, to_json, to_text
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.experiments.text.wording import figures_drawn, uncapitalised
 from trackwright.trackers.catalogue import spec_of
-from trackwright.trackers.core.wording import counted
+from trackwright.trackers.core.errors import counted
 from trackwright.trackers.evaluation.evaluate import truths_of, with_truth
 from trackwright.trackers.evaluation.rows import refuse_without_overlap
 from trackwright.trackers.programs.program_cache import give_back

@@ -13,8 +13,7 @@ from trackwright.experiments.pages.charts import ellipses, plan
 from trackwright.experiments.pages.report import report_page, typed, write_page
 from trackwright.experiments.text.tables import Section
 from trackwright.experiments.text.wording import MISSING, fixed
-from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.core.wording import counted
+from trackwright.trackers.core.errors import UnusableInput, counted, listed
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
     ANGLES,

@@ -16,8 +16,7 @@ from trackwright.experiments.pages.report import report_page
 from trackwright.experiments.text.tables import Section, sections_text
 from trackwright.experiments.text.wording import MISSING, number, yes_no
 from trackwright.trackers.catalogue import spec_of
-from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.wording import counted
+from trackwright.trackers.core.errors import counted, listed
 from trackwright.trackers.evaluation.comparison import Difference, paired_means
 from trackwright.trackers.evaluation.evaluate import Evaluation, with_truth
 from trackwright.trackers.evaluation.statements import covariance_statements

@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from trackwright.experiments.text.wording import NO_UNIT, Unit, rounded
-from trackwright.trackers.core.wording import counted
+from trackwright.trackers.core.errors import counted
 
 
 class Value(NamedTuple):

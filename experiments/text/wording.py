@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.trackers.core.wording import counted
+from trackwright.trackers.core.errors import counted
 from trackwright.trackers.evaluation.metrics import ERROR_KINDS, METRICS
 
 MISSING = "–"

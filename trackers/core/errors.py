@@ -1,10 +1,12 @@
-"""The error for unusable input."""
+"""The error for unusable input, and numbers, counts and names as messages write them."""
 
 from __future__ import annotations
 
 import difflib
+import math
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from decimal import Decimal
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -88,3 +90,21 @@ def one_or_more(given: Any, kinds: tuple[type[T], ...], expected: str) -> list[T
         kind = type(wrong if isinstance(given, (list, tuple)) else given).__name__ if items else "nothing"
         raise UnusableInput(f"found {kind}; expected {expected}")
     return items
+
+
+def counted(count: int, noun: str) -> str:
+    """A count with its noun, in the plural unless it is one."""
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def significant(value: float, digits: int) -> str:
+    """A number with `digits` significant digits, without powers of ten: 1234.5 with two is `1,200`."""
+    return f"{Decimal(f'{value:.{digits}g}'):,f}" if math.isfinite(value) else f"{value}"
+
+
+def numbered_names(names: Sequence[str]) -> list[str]:
+    """The names, those that occur again with their number among all: `a`, `b`, `a` become `a`, `b`, `a 3`."""
+    if len(set(names)) == len(names):
+        return list(names)
+    first = {name: k for k, name in reversed([*enumerate(names)])}
+    return [name if first[name] == k else f"{name} {k + 1}" for k, name in enumerate(names)]

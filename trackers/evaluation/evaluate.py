@@ -13,8 +13,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.frames import evaluation_html, evaluation_text
-from trackwright.trackers.core.errors import UnusableInput, near, one_or_more
-from trackwright.trackers.core.wording import numbered_names
+from trackwright.trackers.core.errors import UnusableInput, near, numbered_names, one_or_more
 from trackwright.trackers.evaluation.metrics import added, metrics, sums
 from trackwright.trackers.evaluation.rows import refuse_without_overlap, scored_rows
 from trackwright.trackers.evaluation.statements import covariance_statements

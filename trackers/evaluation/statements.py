@@ -6,8 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.wording import counted, significant
+from trackwright.trackers.core.errors import counted, listed, significant
 
 LEAST_SAMPLES, LOST = 8.0, 0.1
 """Effective samples below which a recording is too short for a verdict; the share of rows that are lost or have no

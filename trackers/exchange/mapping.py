@@ -10,8 +10,7 @@ from typing import ClassVar, Literal
 
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput, listed, near
-from trackwright.trackers.core.wording import counted
+from trackwright.trackers.core.errors import UnusableInput, counted, listed, near
 from trackwright.trackers.exchange.text_tables import Expression, Reading, parsed, sensor_of, texts_of
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.input_file import read_model

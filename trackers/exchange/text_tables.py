@@ -16,8 +16,7 @@ from typing import Any, Literal, NamedTuple
 
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput, listed, near
-from trackwright.trackers.core.wording import counted
+from trackwright.trackers.core.errors import UnusableInput, counted, listed, near
 from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.tables import TableFile, first_row, read_table_file, remedy
 

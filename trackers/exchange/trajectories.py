@@ -14,9 +14,8 @@ import polars as pl
 from scipy.spatial.transform import Rotation
 
 from trackwright.trackers.core.data.seconds import span
-from trackwright.trackers.core.errors import UnusableInput, listed, require
+from trackwright.trackers.core.errors import UnusableInput, counted, listed, require
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.core.wording import counted
 from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate
 from trackwright.trackers.evaluation.rows import AXES
 from trackwright.trackers.exchange.mapping import refuse_lost_digits, without_identities

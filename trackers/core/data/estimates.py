@@ -12,10 +12,9 @@ import polars as pl
 from jaxtyping import Bool, Float, Int, Num, Shaped
 
 from trackwright.trackers.core.data.frames import estimates_html, to_pandas
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, numbered_names
 from trackwright.trackers.core.model.algebra import dense, triangle
 from trackwright.trackers.core.model.state import component_names, path_name
-from trackwright.trackers.core.wording import numbered_names
 
 
 class Status(IntEnum):

@@ -16,12 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.data.recording import Batch, Recording
-from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.errors import UnusableInput, counted, listed
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.inputs import Input, Need
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, Row
 from trackwright.trackers.core.run.scan import RecursiveTracker
-from trackwright.trackers.core.wording import counted
 
 KINDS = {
     "RecordingFolder": "a tracker by name, `tw.tracker_for(folder)`",

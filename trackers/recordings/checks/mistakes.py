@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trackwright.trackers.core.errors import listed
-from trackwright.trackers.core.wording import significant
+from trackwright.trackers.core.errors import listed, significant
 from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.readings import Compared, known_median, robust_fit
 

@@ -11,9 +11,8 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.seconds import span
-from trackwright.trackers.core.errors import listed
+from trackwright.trackers.core.errors import listed, significant
 from trackwright.trackers.core.model.rig import SAY_SIDE, THIN, Rig
-from trackwright.trackers.core.wording import significant
 from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.kinds import KINDS, Kind, table_kinds

@@ -1,7 +1,7 @@
 """Leaving the line as a ROC: the second future work of chapter 4.
 
 The thesis would detect it "by tracking the cumulative error between a standard Kalman filter and a map-constrained
-filter". Here: the cumulative sum of their distance beyond a slack (`trackers/line/leaving.py`), for tags carried to a
+filter". Here: the cumulative sum of their distance beyond a slack (`cusum`), for tags carried to a
 position beside the line for `AWAY_S` seconds, or never. A detection is a sum above the limit while the tag is away or
 within `AFTER_S` seconds; a false alarm is one at any time in a recording, of about a minute, of a tag that stays.
 """
@@ -18,7 +18,6 @@ from trackwright.sim.corruptions import gauss_markov, white_noise
 from trackwright.sim.line import simulate_line
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.tunable import with_values
-from trackwright.trackers.line.leaving import cusum
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 NUMBERS = fitted("papers/line_thesis/table_3_1")
@@ -30,6 +29,18 @@ STAYS = "stays"
 SLACKS = (0.3, 0.5, LEFT_SLACK)
 SHOWN_SLACK, FALSE_ALARMS = 0.5, 0.05
 LIMITS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+
+
+def cusum(times: np.ndarray, distance: np.ndarray, slack: np.ndarray | float, cap: float = np.inf) -> np.ndarray:
+    """The cumulative sum (Page 1954) of distance beyond `slack` m times seconds, (T,) m·s, clipped to 0 … `cap`.
+
+    `distance` (T,) m between a free and a constrained estimate at `times` (T,) s; NaN adds nothing.
+    """
+    excess = np.nan_to_num(np.asarray(distance, float) - slack) * np.diff(times, prepend=times[0])
+    sums, total = np.zeros(len(excess)), 0.0
+    for row, added in enumerate(excess):
+        total = sums[row] = min(max(total + added, 0.0), cap)
+    return sums
 
 
 def carried(ids: np.ndarray, seed: int, size: float, white: float) -> RecordingFolder:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trackwright.trackers.line.leaving import cusum
+from trackwright.experiments.lab.papers.line_thesis.leaving_line import cusum
 
 TIMES = np.arange(0, 60, 0.5)
 
