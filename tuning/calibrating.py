@@ -33,6 +33,7 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.tuning.bearing_map import confirmed_map
 from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, end_factors
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
@@ -47,10 +48,21 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     """The systematic errors of stations, anchors and tags of recordings with truth, with their covariances.
 
     Stations, anchors and tags of one id in several recordings are one. Each recording has the same weight. Those with
-    fewer than 20 rows with truth are left out.
+    fewer than 20 rows with truth are left out. Of several recordings with bearings also a map of what is left of these,
+    where each of them, left out, confirms it.
     Raises UnusableInput where none is left, and for a station or anchor that stands at several places.
     """
     folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
+    calibration, kind = systematic(folders), KINDS["bearings"]
+    seen = [folder for folder in folders if {"bearings", "truth"} <= folder.tables.keys()]
+    several = seen if len(seen) > 1 else []
+    without = [_stations(calibration_pairs([other for other in seen if other is not apart], kind)) for apart in several]
+    by_place = confirmed_map(calibration_pairs(several, kind), calibration.stations, without)
+    return replace(calibration, bearing_map=by_place)
+
+
+def systematic(folders: Sequence[RecordingFolder]) -> Calibration:
+    """The calibration without what follows the place; raises as `calibrate`."""
     check_at_rest(folders)
     stations = _stations(calibration_pairs(folders, KINDS["bearings"]))
     places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}

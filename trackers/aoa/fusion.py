@@ -148,12 +148,16 @@ class BearingSensor(AbstractSensor):
             angles = measured_angles(true, inputs[CALIBRATION.name])
         return [a + offset for a, offset in zip(angles, self.offsets.value, strict=True)]
 
-    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
-        """Azimuth and elevation, with the calibration of the station or else compressed, and with its biases."""
+    def biases(self, view: Any, inputs: Inputs) -> list[Scalar]:
+        """The biases of both angles of the row's station, rad."""
         # A view without biases needs no number of a station.
         first = 2 * inputs[STATION.name] if hasattr(view, "bias") else 0.0
+        return [bias_in(view, BEARINGS, first + k) for k in range(2)]
+
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
+        """Azimuth and elevation, with the calibration of the station or else compressed, and with its biases."""
         angles = self.angles(delayed_position(view, inputs, self.late), inputs)
-        return [angle + bias_in(view, BEARINGS, first + k) for k, angle in enumerate(angles)]
+        return [angle + bias for angle, bias in zip(angles, self.biases(view, inputs), strict=True)]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """Azimuth first, elevation given azimuth second: whitened by the Cholesky factor of the covariance."""
