@@ -19,9 +19,9 @@ import polars as pl
 from tests.known_start import KnownStart, Still
 from trackwright.sim.stations import facing
 from trackwright.trackers.aoa.beam import Beam, BeamMotion, InPlaneBeam, InPlaneBeamMotion
-from trackwright.trackers.aoa.bearing_map import MappedBearingSensor, floor_grid
 from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackwright.trackers.aoa.mapped_bearings import MappedBearingSensor
 from trackwright.trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.baselines.switching import MirrorSensor
@@ -53,6 +53,7 @@ from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMo
 from trackwright.trackers.line.tracker import line_grid_tracker, line_tracker
 from trackwright.trackers.linear import linear
 from trackwright.trackers.mhk.tracker import STILL, mhk_tracker
+from trackwright.trackers.parts.bearing_map import floor_grid
 from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases
 from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor

@@ -7,15 +7,15 @@ import pytest
 
 from tests.catalogue import of_a_map
 from tests.tuning.calibration_worlds import HEIGHT, world
-from trackwright.trackers.aoa.bearing_map import UNKNOWN, MappedBearingSensor, floor_grid, predicted
+from trackwright.trackers.aoa.mapped_bearings import MappedBearingSensor
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.filters.quadrature import QuadratureKalman
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.evaluation.evaluate import evaluate
+from trackwright.trackers.parts.bearing_map import UNKNOWN, floor_grid, predicted
 from trackwright.trackers.recordings.calibration import UNCALIBRATED
-from trackwright.tuning.bearing_map import visits_of
 from trackwright.tuning.calibrating import calibrate
-from trackwright.tuning.calibration_pairs import Pairs
+from trackwright.tuning.calibration_pairs import Pairs, visits_of
 
 RNG = np.random.default_rng(0)
 VISITS = np.column_stack([RNG.uniform(0.0, 4.0, (40, 2)), RNG.normal(0.0, [0.1, 0.2], (40, 2))])
@@ -59,8 +59,7 @@ def test_visits_are_runs_of_rows_near_their_first_one_by_recording_and_tag():
 
 def test_tags_of_known_height_have_the_map_and_others_are_tracked_without_it_with_a_notice():
     known, free = build("bearings", of_a_map()), build("bearings", of_a_map(), free_height=True)
-    assert isinstance(known.tracker.filter, QuadratureKalman)
-    assert not isinstance(free.tracker.filter, QuadratureKalman)
+    assert [isinstance(one.tracker.filter, QuadratureKalman) for one in (known, free)] == [True, False]
     assert known.made_for[1][0].notices == ()
     (notice,) = free.made_for[1][0].notices
     assert "bearings: the calibration's map of errors over the floor is not used" in notice

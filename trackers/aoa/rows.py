@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 
 from trackwright.trackers.aoa.beam import PHASES, beam_tracker, in_plane_beam_tracker
-from trackwright.trackers.aoa.bearing_map import floor_grid, mapped_bearing_tracker
 from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.das import DelayAndSum
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
+from trackwright.trackers.aoa.mapped_bearings import mapped_bearing_tracker
 from trackwright.trackers.aoa.rays import recent_points_of_each
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.rig import Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.parts.bearing_map import floor_grid
 from trackwright.trackers.recordings.checks.readings import readings as readings_of
 from trackwright.trackers.recordings.checks.readings import repeated_share
 from trackwright.trackers.recordings.columns import TagRows

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers.core.filters.ekf import ExtendedKalman, above_resolution, square_roots
+from trackwright.trackers.core.filters.ekf import AbstractExtendedKalman, ExtendedKalman, above_resolution, square_roots
 from trackwright.trackers.core.filters.filter import Innovation
 from trackwright.trackers.core.model.algebra import Scalar, compute_once, full, select, total, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
@@ -57,7 +57,7 @@ class AbstractPlaceSensor(AbstractSensor):
         """Each channel of a reading at points x, y (q,), m; masked channels have any finite numbers."""
 
 
-class QuadratureKalman(ExtendedKalman):
+class QuadratureKalman(AbstractExtendedKalman):
     """The filter of this module, with `points` along each axis, for an `AbstractPlaceSensor`; the EKF for all else.
 
     The state has a `position` that begins with x and y.
@@ -70,7 +70,7 @@ class QuadratureKalman(ExtendedKalman):
     ) -> tuple[Gaussian, Innovation]:
         """The belief after one reading, channel by channel, and the reading's `Innovation`."""
         if not isinstance(sensor, AbstractPlaceSensor):
-            return super().update(belief, motion, sensor, reading, inputs)
+            return ExtendedKalman().update(belief, motion, sensor, reading, inputs)
         innovations = []
         for channel, seen in enumerate(reading.seen):
             point, rebuild = coordinates(belief.mean)
