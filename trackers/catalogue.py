@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 class Entry(NamedTuple):
-    """What lists say of a tracker before its system is imported: the system's package, what it reads, and a line."""
+    """What lists say of a tracker before its system is imported: its module, what it reads, and a line."""
 
-    system: str
+    module: str
     table: str
     about: str
 
@@ -38,18 +38,20 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
     {
         # No recording: phases of one station alone.
         "phases of several stations": {
-            "direct": Entry("aoa", "phases", "position from the phases of all stations in one EKF, spherical waves"),
+            "direct": Entry(
+                "aoa.rows", "phases", "position from the phases of all stations in one EKF, spherical waves"
+            ),
             "cascade": Entry(
-                "aoa",
+                "aoa.rows",
                 "phases",
                 "3-D position from phases, a beam tracker per station, then bearings-only fusion (Will et al.)",
             ),
         },
         # ble51-uca, six of them.
         "phases of a station": {
-            "beam": Entry("aoa", "phases", "azimuth and elevation per station from phases, EKF (Will et al.)"),
+            "beam": Entry("aoa.rows", "phases", "azimuth and elevation per station from phases, EKF (Will et al.)"),
             "das": Entry(
-                "aoa",
+                "aoa.rows",
                 "phases",
                 "azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
             ),
@@ -57,25 +59,25 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
         # No recording with two kinds of readings that are independent.
         "several kinds of readings": {
             "fusion": Entry(
-                "fusion",
+                "fusion.rows",
                 "two or more of ranges, tdoa, bearings and fixes",
                 "position from ranges, range differences, bearings and fixes in one EKF, with the biases of each kind",
             ),
         },
         "bearings": {
             "bearings": Entry(
-                "aoa", "bearings", "position from azimuths and elevations of any number of stations, EKF"
+                "aoa.rows", "bearings", "position from azimuths and elevations of any number of stations, EKF"
             ),
         },
         # ngbui-line, all six.
         "readings along a known path": {
             "line-grid": Entry(
-                "line",
+                "line.rows",
                 "ranges or fixes, and [path]",
                 "position on a known path from ranges or fixes, grid filter of arclength and speed",
             ),
             "line-pf": Entry(
-                "line",
+                "line.rows",
                 "ranges or fixes, and [path]",
                 "position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis)",
             ),
@@ -83,36 +85,40 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
         # lias-still, all three, and all of the others that are not the first of their kind. With an IMU the two of
         # ngbui-line-3, which it makes worse, outweigh the other four.
         "ranges": {
-            "uwb": Entry("uwb_imu", "ranges", "position from ranges, EKF with a drifting bias per anchor"),
+            "uwb": Entry("uwb_imu.rows", "ranges", "position from ranges, EKF with a drifting bias per anchor"),
             "body": Entry(
-                "uwb_imu",
+                "uwb_imu.body_rows",
                 "ranges and odometry",
                 "position and heading of a body from the ranges of its tags, and from its odometry if any, EKF",
             ),
             "uwb-imu": Entry(
-                "uwb_imu",
+                "uwb_imu.body_rows",
                 "ranges and imu",
                 "position, velocity and attitude from ranges and an IMU, error-state EKF",
             ),
             "multilateration": Entry(
-                "uwb_imu", "ranges", "position from the latest ranges, robust least squares without a filter"
+                "uwb_imu.snapshots", "ranges", "position from the latest ranges, robust least squares without a filter"
             ),
             "trilateration": Entry(
-                "uwb_imu",
+                "uwb_imu.snapshots",
                 "ranges",
                 "planar position from three ranges, intersection of circles (Kwon et al.) without compensation (14)",
             ),
             "trilateration-compensated": Entry(
-                "uwb_imu",
+                "uwb_imu.snapshots",
                 "ranges",
                 "planar position from three ranges, intersection of circles with compensation (14) (Kwon et al.)",
             ),
         },
         # The three of util.
         "range differences": {
-            "tdoa": Entry("uwb_imu", "tdoa", "position from range differences, EKF with a drifting bias per anchor"),
+            "tdoa": Entry(
+                "uwb_imu.difference_rows",
+                "tdoa",
+                "position from range differences, EKF with a drifting bias per anchor",
+            ),
             "tdoa-imu": Entry(
-                "uwb_imu",
+                "uwb_imu.body_rows",
                 "tdoa and imu",
                 "position, velocity and attitude from range differences and an IMU, error-state EKF",
             ),
@@ -120,30 +126,34 @@ PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
         # No recording with a floor plan.
         "fixes on a floor plan": {
             "floor-pf": Entry(
-                "baselines",
+                "baselines.rows",
                 "fixes, and [floor]",
                 "position from fixes on a floor with walls, particle filter with 1,000 particles",
             ),
         },
         # iasl-drone and all of tiers: the first five are ties, and the simplest is the first.
         "fixes": {
-            "fix-kf": Entry("baselines", "fixes", "position from fixes, Kalman filter, constant velocity in x and y"),
-            "fix-singer": Entry(
-                "baselines", "fixes", "position from fixes, Kalman filter, Singer's acceleration model"
+            "fix-kf": Entry(
+                "baselines.rows", "fixes", "position from fixes, Kalman filter, constant velocity in x and y"
             ),
-            "imm": Entry("baselines", "fixes", "position from fixes, IMM filter of three constant-velocity models"),
+            "fix-singer": Entry(
+                "baselines.rows", "fixes", "position from fixes, Kalman filter, Singer's acceleration model"
+            ),
+            "imm": Entry(
+                "baselines.rows", "fixes", "position from fixes, IMM filter of three constant-velocity models"
+            ),
             "mhk-stamped": Entry(
-                "mhk", "fixes", "mhk, with each estimate at the time of the middle of its median window"
+                "mhk.rows", "fixes", "mhk, with each estimate at the time of the middle of its median window"
             ),
             "fix-mirror": Entry(
-                "baselines",
+                "baselines.rows",
                 "fixes",
                 "position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides",
             ),
-            "moving-average": Entry("baselines", "fixes", "mean of the last 9 fixes, axis by axis"),
-            "median": Entry("baselines", "fixes", "median of the last 9 fixes, axis by axis"),
+            "moving-average": Entry("baselines.rows", "fixes", "mean of the last 9 fixes, axis by axis"),
+            "median": Entry("baselines.rows", "fixes", "median of the last 9 fixes, axis by axis"),
             "mhk": Entry(
-                "mhk",
+                "mhk.rows",
                 "fixes",
                 "position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter "
                 "(Huang et al.)",
@@ -180,8 +190,8 @@ class _Catalogue(Mapping[str, "TrackerSpec"]):
 
 @functools.cache
 def _completed(name: str, entry: Entry) -> TrackerSpec:
-    """What `rows` of its system has of the tracker, with what lists say of it."""
-    spec: TrackerSpec = import_module(f"trackwright.trackers.{entry.system}.rows").TRACKERS[name](
+    """What its module has of the tracker, with what lists say of it."""
+    spec: TrackerSpec = import_module(f"trackwright.trackers.{entry.module}").TRACKERS[name](
         about=entry.about, table=entry.table
     )
     return spec

@@ -147,7 +147,7 @@ def fit_data(
             parts[trajectory.folder.name in apart].append(trajectory)
     for part, wanted, where in zip(parts, (True, bool(apart)), ("these recordings", "those held out"), strict=True):
         if wanted and not part:
-            heights = "" if floor else " with z_m, or --dimensions 2"
+            heights = "" if floor else " with z_m"
             raise UnusableInput(f"objective {name} needs truth{heights}, and {where} have none; use the objective nll")
     used = {trajectory.folder.name for part in parts for trajectory in part}
     unused = tuple(dict.fromkeys(t.folder.name for t in trajectories if t.folder.name not in used))

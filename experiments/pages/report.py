@@ -15,6 +15,8 @@ from markupsafe import Markup
 from trackwright.experiments.text.tables import Section
 from trackwright.trackers.recordings.atomic import atomic_write
 
+SOURCES = Path(__file__).parent / "templates"  # of styles and scripts, too, which are no templates
+
 
 def report_page(
     kind: str, title: str, summary: Sequence[str], sections: Sequence[Section], commands: Sequence[str],
@@ -37,7 +39,10 @@ def page(template: str, **content: Any) -> str:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     made.filters |= {"cell": _cell, "json": lambda content: Markup(script_json(content))}
-    made.globals["plotting_script"] = _plotting_script
+    made.globals |= {
+        "plotting_script": _plotting_script,
+        "source": lambda name: Markup((SOURCES / name).read_text("utf-8")),
+    }
     return made.get_template(template).render(**content)
 
 

@@ -172,5 +172,5 @@ def _claim(claim: Claim) -> dict[str, Any]:
 
 
 def study_names(studies: Sequence[Study]) -> str:
-    """Names and questions of the studies, for `--list`."""
+    """Names and questions of the studies."""
     return aligned([(s.name, s.about) for s in studies])

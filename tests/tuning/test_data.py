@@ -58,7 +58,7 @@ def test_a_fit_over_the_floor_judges_truth_without_heights_as_evaluate_does(heig
 def test_the_error_of_an_estimated_height_needs_truth_with_heights(objective):
     folder = _folder(None, NONE)
     tracker = tw.build("fix-kf", folder)
-    with pytest.raises(UnusableInput, match="needs truth with z_m, or --dimensions 2, and these recordings have none"):
+    with pytest.raises(UnusableInput, match="needs truth with z_m, and these recordings have none"):
         fit_data(tracker.only_batch(folder), objective, dimensions=3)
     assert fit_data(tracker.only_batch(folder), "nll", dimensions=3).training
     assert fit_data(tracker.only_batch(folder), objective).training, "the height is not judged"

@@ -22,9 +22,9 @@ from trackwright.trackers.parts.start_nearby import NEARBY
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracker_spec import TrackerSpec
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_heights, trajectories_of
+from trackwright.trackers.uwb_imu import difference_rows
+from trackwright.trackers.uwb_imu import rows as range_rows
 from trackwright.trackers.uwb_imu.differences import TDOA
-from trackwright.trackers.uwb_imu.rows import TRACKERS as OF_ANCHORS
-from trackwright.trackers.uwb_imu.rows import tracker_of_differences, tracker_of_ranges
 
 
 def _placed_fixes(folder: RecordingFolder, free_height: bool) -> Trajectories:
@@ -50,8 +50,12 @@ BIASES = 4
 """The numbers of biases of ranges and of differences are multiples of this; with eight four anchors take half again."""
 
 KINDS: Mapping[str, TrackerSpec] = {
-    RANGES: OF_ANCHORS["uwb"](about="", table=RANGES, build=partial(tracker_of_ranges, together=BIASES)),
-    TDOA: OF_ANCHORS["tdoa"](about="", table=TDOA, build=partial(tracker_of_differences, together=BIASES)),
+    RANGES: range_rows.TRACKERS["uwb"](
+        about="", table=RANGES, build=partial(range_rows.tracker_of_ranges, together=BIASES)
+    ),
+    TDOA: difference_rows.TRACKERS["tdoa"](
+        about="", table=TDOA, build=partial(difference_rows.tracker_of_differences, together=BIASES)
+    ),
     BEARINGS: OF_ANGLES["bearings"](about="", table=BEARINGS),
     FIXES: TrackerSpec("", FIXES, _placed_fixes, _tracker_of_fixes, lacks=lacks_fixes),
 }

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.range_rows import anchor_positions, lacks_a_plane, room_of_anchors, within_limits
 from trackwright.trackers.parts.recent_positions import WINDOWS_S
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
-from trackwright.trackers.uwb_imu.differences import TDOA
+from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_heights, trajectories_of
+from trackwright.trackers.uwb_imu.differences import TDOA, difference_tracker
 from trackwright.trackers.uwb_imu.hyperbolic import Differences, hyperbolic_positions
+from trackwright.trackers.uwb_imu.rows import bias_slots
 
 MOST_SLOTS = 16
 """Most differences in a row; a longer message has several rows, whose differences count as independent.
@@ -184,3 +190,26 @@ def lacks_differences(folder: RecordingFolder) -> str | None:
             "nanoseconds or millimetres"
         )
     return None
+
+
+def slots_of(trajectory: Trajectory) -> int:
+    """The most differences in a row of a trajectory."""
+    return int(trajectory.recording.readings[TDOA].values.shape[1])
+
+
+def tracker_of_differences(trajectory: Trajectory, planar: bool, together: int = 8) -> Tracker:
+    """The tracker of a trajectory's range differences, with `bias_slots`."""
+    tracker = difference_tracker(bias_slots(trajectory, together), slots_of(trajectory), planar)
+    return replace(tracker, lasting_errors=True)
+
+
+TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
+    "tdoa": partial(
+        TrackerSpec,
+        trajectories=difference_trajectories,
+        build=tracker_of_differences,
+        lacks=lacks_differences,
+        geometry=lambda trajectory: (bias_slots(trajectory), slots_of(trajectory)),
+    ),
+}
+"""How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

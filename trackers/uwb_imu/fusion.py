@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from trackwright.trackers.core.errors import is_count, require
 from trackwright.trackers.core.model.tunable import Scale
@@ -10,7 +11,9 @@ from trackwright.trackers.core.run.track_loss import TrackScorePolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
-from trackwright.trackers.recordings.calibration import Calibration
+
+if TYPE_CHECKING:
+    from trackwright.trackers.recordings.calibration import Calibration
 
 MAX_BIASES = 16
 """Largest number of anchors with a bias each in the state; the cost of an epoch grows with its square."""

@@ -14,8 +14,8 @@ from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
+from trackwright.trackers.uwb_imu.body_rows import inertial_trajectories
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
-from trackwright.trackers.uwb_imu.rows import inertial_trajectories
 
 
 def _rmse(tracker, recordings):

@@ -15,8 +15,8 @@ from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import Rotation
 from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.uwb_imu.body_rows import inertial_trajectories
 from trackwright.trackers.uwb_imu.inertial import InertialStart, inertial_tracker
-from trackwright.trackers.uwb_imu.rows import inertial_trajectories
 
 TAGS, POINTS = 6, 480
 

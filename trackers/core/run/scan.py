@@ -166,7 +166,10 @@ def scan_rows(
     """
     size, trajectory_keys = batch.size, jnp.asarray(batch.key)
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
-    n_rows = jnp.zeros(size, jnp.uint32) if initial is None else jnp.asarray(initial.n_rows)
+    # XLA would join a constant with the loop's counter: a run that starts here would be another program, with other
+    # rounding errors, than one that continues.
+    first_number = jax.lax.optimization_barrier(jnp.zeros(size, jnp.uint32))
+    n_rows = first_number if initial is None else jnp.asarray(initial.n_rows)
     axes = carry_axes(tracker)
     few = covariance.few(size) and not tracker.filter.has_particle_axis
     every_moments = jax.vmap(
