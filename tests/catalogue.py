@@ -21,6 +21,7 @@ from trackwright.sim.stations import facing
 from trackwright.trackers.aoa.beam import Beam, BeamMotion, InPlaneBeam, InPlaneBeamMotion
 from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackwright.trackers.aoa.mapped_bearings import MappedBearingSensor
 from trackwright.trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.baselines.switching import MirrorSensor
@@ -52,10 +53,12 @@ from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMo
 from trackwright.trackers.line.tracker import line_grid_tracker, line_tracker
 from trackwright.trackers.linear import linear
 from trackwright.trackers.mhk.tracker import STILL, mhk_tracker
+from trackwright.trackers.parts.bearing_map import floor_grid
 from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases
 from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.singer import Singer
+from trackwright.trackers.recordings.calibration import UNCALIBRATED, Calibration
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectory, cut
 from trackwright.trackers.uwb_imu.body import BodyState, TurningBody, Wheels
@@ -207,6 +210,14 @@ def _of_wheels() -> RecordingFolder:
 
 
 @cache
+def of_a_map() -> RecordingFolder:
+    """The folder with a calibration that has a map of the errors of bearings."""
+    rng, names = np.random.default_rng(2), RIG.stations
+    visits = np.column_stack([rng.uniform(0.5, 3.5, (30, 2)), rng.normal(0.0, [0.1, 0.2], (30, 2))])
+    calibration = Calibration(dict.fromkeys(names, UNCALIBRATED), bearing_map=dict.fromkeys(names, visits))
+    return folder().calibrated(calibration)
+
+
 @cache
 def trajectories(name: str, free_height: bool, source: Callable[[], RecordingFolder]) -> tuple[Trajectory, ...]:
     """The trajectories of all tags, as the ready tracker of this name reads them from `source()`.
@@ -299,6 +310,8 @@ def _ready_cases() -> Iterator[Case]:
     yield ready("trilateration-compensated", smoothable=False)
     # No walk of four seconds has a significant speed, and no reading a standard deviation.
     yield from both("bearings", idle=("motion.length", "*.reported_std_scale"))
+    mapped = ("motion.sigma_z", "*.reported_std_scale", "*.compression")
+    yield Case("bearings with a map", "bearings", source=of_a_map, idle=mapped)
     yield ready("beam")
     yield flat("beam", quick=True)
     yield ready("das", smoothable=False, quick=True)
@@ -532,6 +545,12 @@ SENSORS = {
         BearingSensor(0.1, 0.2, 4.0), MOVING, {**_GEOMETRY, "calibration": CALIBRATED}
     ),
     "bearings with variances": SensorCase(BearingSensor(0.1, 0.2, 4.0), MOVING, _GEOMETRY, (0.01, 0.005, 0.02)),
+    "bearings with a map": SensorCase(
+        MappedBearingSensor(floor_grid({"S1": _VISITS}, ["S1"]), 0.1, 0.2, 4.0),
+        MOVING,
+        {**_GEOMETRY, "station": np.array(0.0)},
+        (0.01, 0.005, 0.02),
+    ),
     "plane waves": SensorCase(PlanePhases(_S1, 0.3), BEAM),
     "plane waves in the plane of the array": SensorCase(InPlanePhases(_S1, 0.3), FLAT_BEAM),
     "spherical waves": SensorCase(SphericalPhases(_S1, 0.3), MOVING),

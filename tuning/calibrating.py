@@ -14,9 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 import polars as pl
+from scipy.stats import norm
 
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Point
+from trackwright.trackers.parts.bearing_map import predicted
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
     OFFSET_SIGMA,
@@ -33,7 +35,7 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.tuning.calibration_pairs import MIN_ROWS, Pairs, calibration_pairs, end_factors
+from trackwright.tuning.calibration_pairs import DIGITS, MIN_ROWS, Pairs, calibration_pairs, end_factors, visits_of
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
 LEAST_SLOPE = 0.2
@@ -42,15 +44,60 @@ LEAST_SLOPE = 0.2
 TAG_ROUNDS = 3
 """How often the biases of anchors and of tags are fitted in turn."""
 
+MOST_VISITS = 500
+"""The most visits of a station that a map keeps; more are thinned evenly."""
+
 
 def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibration:
     """The systematic errors of stations, anchors and tags of recordings with truth, with their covariances.
 
     Stations, anchors and tags of one id in several recordings are one. Each recording has the same weight. Those with
-    fewer than 20 rows with truth are left out.
+    fewer than 20 rows with truth are left out. Of several recordings with bearings also a map of what is left of these,
+    where each of them, left out, confirms it.
     Raises UnusableInput where none is left, and for a station or anchor that stands at several places.
     """
     folders = one_or_more(recordings, (RecordingFolder,), FOLDERS)
+    calibration, kind = systematic(folders), KINDS["bearings"]
+    seen = [folder for folder in folders if {"bearings", "truth"} <= folder.tables.keys()]
+    several = seen if len(seen) > 1 else []
+    without = [_stations(calibration_pairs([other for other in seen if other is not apart], kind)) for apart in several]
+    by_place = _confirmed_map(calibration_pairs(several, kind), calibration.stations, without)
+    return replace(calibration, bearing_map=by_place)
+
+
+def _confirmed_map(
+    pairs: Mapping[str, Pairs],
+    stations: Mapping[str, StationCalibration],
+    without: Sequence[Mapping[str, StationCalibration]],
+) -> dict[str, np.ndarray]:
+    """The visits (V, 4) of all recordings about their calibration, by station; none where those left out refute them.
+
+    The rule: the visits of each recording, about a calibration on the others (`without`, by number), are together more
+    probable by the map of the others' visits than by a normal density of no mean and, for each angle of a station, the
+    others' root mean square.
+    """
+    gain = 0.0
+    for number, others in enumerate(without):
+        for name in others.keys() & pairs.keys():
+            visits, recording = visits_of(pairs[name], others[name])
+            known, left_out = _thinned(visits[recording != number]), visits[recording == number]
+            if len(known) and len(left_out):
+                means, sigmas = np.split(predicted(known, left_out[:, :2]), 2, axis=1)
+                spread = np.sqrt((known[:, 2:] ** 2).mean(axis=0)) + 10.0**-DIGITS
+                errors = left_out[:, 2:]
+                gain += (norm.logpdf(errors, means, sigmas) - norm.logpdf(errors, 0.0, spread)).sum()
+    if gain <= 0.0:
+        return {}
+    whole = {name: _thinned(visits_of(pairs[name], station)[0]) for name, station in stations.items()}
+    return {name: visits for name, visits in whole.items() if len(visits)}
+
+
+def _thinned(visits: np.ndarray) -> np.ndarray:
+    return visits[np.unique(np.linspace(0, len(visits) - 1, min(MOST_VISITS, len(visits))).astype(int))]
+
+
+def systematic(folders: Sequence[RecordingFolder]) -> Calibration:
+    """The calibration without what follows the place; raises as `calibrate`."""
     check_at_rest(folders)
     stations = _stations(calibration_pairs(folders, KINDS["bearings"]))
     places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}

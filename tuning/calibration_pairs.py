@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from trackwright.trackers.core.model.rig import Point
+from trackwright.trackers.recordings.calibration import StationCalibration
 from trackwright.trackers.recordings.columns import TruthStatus, independent_pieces
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import Kind, wrapped
@@ -21,6 +23,9 @@ MIN_ROWS = 20
 
 MOST_PIECES = 1_000_000
 """More pieces than a recording has: pieces of different recordings have different numbers."""
+
+VISIT_M, DIGITS = 0.5, 4
+"""Distance, m, from the first row of a visit within which further rows are of the same one; decimals of its means."""
 
 
 class Pairs(NamedTuple):
@@ -93,3 +98,25 @@ def _places(positions: np.ndarray) -> np.ndarray:
     """The number of each row's square of the floor (N,)."""
     x, y = np.floor(np.nan_to_num(positions[:, :2]) / PLACE_M).astype(int).T
     return x * 100003 + y
+
+
+def visits_of(pairs: Pairs, station: StationCalibration) -> tuple[np.ndarray, np.ndarray]:
+    """Visits (V, 4) to places, m, with mean errors about a calibration, rad, and the numbers (V,) of their recordings.
+
+    A visit is a run of rows of a station and a tag with both angles, within half a metre: one sample of the place.
+    """
+    tags = np.unique(pairs.tag, return_inverse=True)[1].ravel()
+    order = np.lexsort((pairs.time, tags, pairs.recording))
+    order = order[np.isfinite(pairs.measured[order]).all(axis=1)]
+    columns = np.concatenate([pairs.positions[:, :2], pairs.measured - station.measured(pairs.true)], axis=1)[order]
+    sources = list(zip(pairs.recording[order].tolist(), tags[order].tolist(), strict=True))
+    places, begins = columns[:, :2].tolist(), list[int]()
+    for k, source in enumerate(sources):
+        first = begins[-1] if begins else k
+        if not begins or source != sources[first] or math.dist(places[k], places[first]) > VISIT_M:
+            begins.append(k)
+    if not begins:
+        return columns, pairs.recording[order]
+    counts = np.diff(begins, append=len(columns))
+    means = np.add.reduceat(columns, begins) / counts[:, None]
+    return np.round(means, DIGITS), pairs.recording[order][begins]

@@ -25,7 +25,7 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.tuning.calibrating import calibrate
+from trackwright.tuning.calibrating import systematic
 from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs
 from trackwright.tuning.survey import Survey
 
@@ -108,7 +108,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     without = list[Calibration | None]()
     for apart in folders:
         try:
-            without.append(calibrate([folder for folder in folders if folder is not apart]))
+            without.append(systematic([folder for folder in folders if folder is not apart]))
         except UnusableInput:
             without.append(None)
     for source in sources:
@@ -125,7 +125,9 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
     several = calibration.tags if len(calibration.tags) > 1 else {}
     rows["tags"] = [[name, _term(tag.bias, tag.sigma, True), str(tag.rows)] for name, tag in several.items()]
     tables = {name: one._replace(rows=rows[name]) for name, one in SECTIONS.items() if rows[name]}
-    return Report(tables, sources, NOTE)
+    visits = sum(map(len, calibration.bearing_map.values()))
+    kept = f" A map over the floor of what is left of bearings is kept, of {visits} visits." if visits else ""
+    return Report(tables, sources, NOTE + kept)
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:

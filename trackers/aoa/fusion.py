@@ -89,7 +89,7 @@ def measured_angles(true: Sequence[Scalar], calibration: AnyArray) -> tuple[Scal
     return measured(0, azimuth, inside[0], inside[1]), measured(1, elevation, inside[1], inside[0])
 
 
-class BearingSensor(AbstractSensor):
+class AbstractBearingSensor(AbstractSensor):
     """Azimuth and elevation, rad, of a position in the array frame of this row's station, with its biases.
 
     Inputs: `origin` (3,) m; `axes` (9,), the array's x, y and z axes in world axes; `height` m for a planar state;
@@ -97,8 +97,7 @@ class BearingSensor(AbstractSensor):
     `sigma_azimuth`, `sigma_elevation` rad add to the reported covariance (variance of azimuth, covariance, variance of
     elevation, rad²), whose square root is scaled by `reported_std_scale`. `dof`: degrees of freedom of Student's t.
     `offsets` (2,) rad and `compression` (2,) rad⁻²: arrays compress large angles a to a/√(1 + c·a²) + offset; both zero
-    for a calibrated array. `late`: by how many seconds the times of angles are later than of the other readings at the
-    same position.
+    for a calibrated array.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
@@ -110,7 +109,6 @@ class BearingSensor(AbstractSensor):
     dof: Noise
     offsets: Noise
     compression: Noise
-    late: Noise | None
 
     def __init__(self, sigma_azimuth: float, sigma_elevation: float, dof: float):
         self.sigma_azimuth = Scale(sigma_azimuth, "rad", "measurement noise")
@@ -119,7 +117,6 @@ class BearingSensor(AbstractSensor):
         self.dof = Scale(dof)
         self.offsets = Real(np.zeros(2), "rad", typical=0.1)
         self.compression = Real(np.zeros(2), "rad^-2", typical=0.1)
-        self.late = None
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -148,12 +145,11 @@ class BearingSensor(AbstractSensor):
             angles = measured_angles(true, inputs[CALIBRATION.name])
         return [a + offset for a, offset in zip(angles, self.offsets.value, strict=True)]
 
-    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
-        """Azimuth and elevation, with the calibration of the station or else compressed, and with its biases."""
+    def biases(self, view: Any, inputs: Inputs) -> list[Scalar]:
+        """The biases of both angles of the row's station, rad."""
         # A view without biases needs no number of a station.
         first = 2 * inputs[STATION.name] if hasattr(view, "bias") else 0.0
-        angles = self.angles(delayed_position(view, inputs, self.late), inputs)
-        return [angle + bias_in(view, BEARINGS, first + k) for k, angle in enumerate(angles)]
+        return [bias_in(view, BEARINGS, first + k) for k in range(2)]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """Azimuth first, elevation given azimuth second: whitened by the Cholesky factor of the covariance."""
@@ -173,6 +169,21 @@ class BearingSensor(AbstractSensor):
         log_scale = total(jnp.where(s, student_t_log_peak(self.dof.value) - jnp.log(sigma), 0.0) for s, sigma in scales)
         nis_dof = total(jnp.where(s, jnp.ones_like(azimuth), 0.0) for s, _ in scales)
         return Residual([whitened, second_whitened], log_scale, nis_dof, dof=self.dof.value)
+
+
+class BearingSensor(AbstractBearingSensor):
+    """As `AbstractBearingSensor`; `late`: by how many s angles are later than other readings at their position."""
+
+    late: Noise | None
+
+    def __init__(self, sigma_azimuth: float, sigma_elevation: float, dof: float):
+        super().__init__(sigma_azimuth, sigma_elevation, dof)
+        self.late = None
+
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
+        """Azimuth and elevation, with the calibration of the station or else compressed, and with its biases."""
+        angles = self.angles(delayed_position(view, inputs, self.late), inputs)
+        return [angle + bias for angle, bias in zip(angles, self.biases(view, inputs), strict=True)]
 
 
 def bearing_inputs(station: Station) -> np.ndarray:

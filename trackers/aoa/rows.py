@@ -13,11 +13,13 @@ from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.das import DelayAndSum
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
+from trackwright.trackers.aoa.mapped_bearings import mapped_bearing_tracker
 from trackwright.trackers.aoa.rays import recent_points_of_each
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.rig import Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.parts.bearing_map import floor_grid
 from trackwright.trackers.recordings.checks.readings import readings as readings_of
 from trackwright.trackers.recordings.checks.readings import repeated_share
 from trackwright.trackers.recordings.columns import TagRows
@@ -198,7 +200,30 @@ def _calibrated(trajectory: Trajectory) -> bool:
     return "calibration" in trajectory.recording.inputs
 
 
+def _map_of(folder: RecordingFolder) -> Mapping[str, np.ndarray]:
+    return {} if folder.calibration is None else folder.calibration.bearing_map
+
+
+def _map_key(folder: RecordingFolder) -> Hashable:
+    """What tells the map of a folder from others, and from none."""
+    by_place = _map_of(folder)
+    visits = [by_place[name].tobytes() if name in by_place else b"" for name in folder.rig.stations]
+    return (tuple(visits), folder.origin) if by_place else ()
+
+
+def _without_map(folder: RecordingFolder, free_height: bool) -> list[str]:
+    """A line where tags of unknown height are tracked without the map of the calibration."""
+    if not _map_of(folder) or not (free_height or np.isnan(known_heights(folder, folder.rows("bearings").tags)).any()):
+        return []
+    text = "the calibration's map of errors over the floor is not used for tags whose height is estimated"
+    return [f"{folder.path or folder.name}: bearings: {text}; give their height_m in rig.toml"]
+
+
 def _bearings(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    if planar and (by_place := _map_of(folder := trajectory.folder)):
+        return mapped_bearing_tracker(
+            _stations(trajectory), floor_grid(by_place, [*folder.rig.stations], folder.origin)
+        )
     return bearing_tracker(_stations(trajectory), planar, **(CALIBRATED if _calibrated(trajectory) else {}))
 
 
@@ -256,7 +281,8 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         trajectories=bearing_trajectories,
         build=_bearings,
         lacks=stations_of("bearings", 1),
-        geometry=lambda trajectory: (_stations(trajectory), _calibrated(trajectory)),
+        geometry=lambda trajectory: (_stations(trajectory), _calibrated(trajectory), _map_key(trajectory.folder)),
+        notices=_without_map,
         every_row=(BEARINGS,),
     ),
 }

@@ -124,6 +124,7 @@ class Calibration:
     """Systematic errors of stations, anchors and tags by their ids; `recordings`: their names in the fit.
 
     `range_spread`: scale of Student's t of the ranges about the fit, m, root mean square over the anchors.
+    `bearing_map`: visits (V, 4) of a station: x and y, m, and mean errors that its terms leave of both angles, rad.
     """
 
     __pydantic_config__: ClassVar = AS_FILE
@@ -133,6 +134,7 @@ class Calibration:
     tags: Mapping[str, TagCalibration] = field(default_factory=dict)
     recordings: tuple[str, ...] = ()
     range_spread: Positive | None = None
+    bearing_map: Mapping[str, Annotated[Float[np.ndarray, "V 4"], NUMBERS]] = field(default_factory=dict)
 
     def at_rest(self, rig: Rig) -> Calibration:
         """The calibration of those stations and anchors of a rig that stand where they stood."""
@@ -147,7 +149,8 @@ class Calibration:
             for name, station in self.stations.items()
             if name in there and (station.mounted is None or not has_turned(station.mounted, there[name]))
         }
-        return replace(self, stations=stations, anchors=anchors)
+        by_place = {name: visits for name, visits in self.bearing_map.items() if name in stations}
+        return replace(self, stations=stations, anchors=anchors, bearing_map=by_place)
 
     def of_bearings(
         self, stations: Sequence[str], number: np.ndarray, measured: np.ndarray

@@ -43,6 +43,7 @@ CALIBRATION = Calibration(
     {"1": TagCalibration(0.03, 0.01, 40)},
     ("walk 1", "walk 2"),
     0.0583,
+    {"S 1": np.array([[1.5, 2.5, 0.01, -0.2], [3.25, 2.0, 0.05, 0.1]])},
 )
 
 
@@ -58,6 +59,7 @@ def test_a_calibration_is_read_back_to_the_bit(path, tmp_path):
     np.testing.assert_array_equal(found.stations["S 1"].coefficients, CALIBRATION.stations["S 1"].coefficients)
     np.testing.assert_array_equal(found.stations["S 1"].mounted.rotation, [0.5, 0.5, 0.5, 0.5])
     assert found.stations["S 2"].mounted is None
+    np.testing.assert_array_equal(found.bearing_map["S 1"], CALIBRATION.bearing_map["S 1"])
 
 
 @pytest.mark.parametrize(
@@ -71,6 +73,7 @@ def test_a_calibration_is_read_back_to_the_bit(path, tmp_path):
         ("position = [\n    1.0", "position = [\n    nan", "anchors.A.position = [nan, 2.0, 2.5], expected finite numbers"),
         ("position = [\n    1.0,", "position = [", "anchors.A.position = [2.0, 2.5], expected numbers of shape 3"),
         ("sigma = 0.01", "sigma = -0.01", "tags.1.sigma = -0.01, expected greater than or equal to 0"),
+        ("        3.25,", "        nan,", "[nan, 2.0, 0.05, 0.1]], expected finite numbers"),
         ("[stations", "[range_quality]\nslope = 1.0\n\n[stations", "range_quality is no key of it"),
     ],
 )  # fmt: skip

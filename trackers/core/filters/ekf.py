@@ -64,8 +64,8 @@ BENT = 0.2
 """Variance of what a reading bends, over its linear part's, above which it counts."""
 
 
-class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
-    """The extended Kalman filter: motion and sensors are linearised at the current mean."""
+class AbstractExtendedKalman(AbstractSmoothableFilter[Gaussian]):
+    """Prediction and smoothing of filters whose motion is linearised at the current mean."""
 
     def init(self, belief: Gaussian, key: RawKey) -> Gaussian:
         """The filter's belief, given the prior; `key` is unused."""
@@ -88,6 +88,28 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
             # Unchanged entries already have their barrier.
             cov = tuple(a if a is b else compute_once(a) for a, b in zip(grown, cov, strict=True))
         return Gaussian(compute_once(mean), cov)
+
+    def rts_gain(
+        self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
+    ) -> RtsGain:
+        """The RTS gains to the next time step, `dt` s later; `connected`: whether that step continues the track."""
+
+        def linearised(belief: Gaussian, inputs: Inputs, dt: Scalar) -> tuple[State, list[SparseRow], list[SparseRow]]:
+            at = motion.at(belief)
+            return sparse_jacobians(at, at.step, belief.mean, inputs, dt)
+
+        # Structural ones stay Python floats.
+        by_trajectory = eqx.filter_vmap(linearised, in_axes=-1, out_axes=eqx.if_array(-1))
+        predicted, F, G = by_trajectory(belief, inputs, dt)
+        return rts_gain(belief, predicted, F, G, connected, dt == 0)
+
+    def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
+        """The smoothed beliefs of a time step, given the next one's."""
+        return rts_step(rts_gain, after)
+
+
+class ExtendedKalman(AbstractExtendedKalman):
+    """The extended Kalman filter: motion and sensors are linearised at the current mean."""
 
     def update(
         self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
@@ -122,24 +144,6 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         innovation = Innovation(log_scale + log_density - 0.5 * rest, nis + rest, nis_dof, wrapped)
         mean = retract(belief.mean, step)
         return Gaussian(mean, above_resolution(cov, coordinates(mean)[0])), innovation
-
-    def rts_gain(
-        self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
-    ) -> RtsGain:
-        """The RTS gains to the next time step, `dt` s later; `connected`: whether that step continues the track."""
-
-        def linearised(belief: Gaussian, inputs: Inputs, dt: Scalar) -> tuple[State, list[SparseRow], list[SparseRow]]:
-            at = motion.at(belief)
-            return sparse_jacobians(at, at.step, belief.mean, inputs, dt)
-
-        # Structural ones stay Python floats.
-        by_trajectory = eqx.filter_vmap(linearised, in_axes=-1, out_axes=eqx.if_array(-1))
-        predicted, F, G = by_trajectory(belief, inputs, dt)
-        return rts_gain(belief, predicted, F, G, connected, dt == 0)
-
-    def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
-        """The smoothed beliefs of a time step, given the next one's."""
-        return rts_step(rts_gain, after)
 
 
 def flattening(
