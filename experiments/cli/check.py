@@ -108,7 +108,6 @@ def survey(
         # No other table is used, and positions in rig.toml may be wrong.
         unplaced = replace(folder.rig, anchors={})
         notices(require_sound(replace(folder, rig=unplaced, tables={"ranges": folder.tables["ranges"]}), force, True))
-    # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
     from trackwright.experiments.pages.calibration import write_survey_page
     from trackwright.trackers.recordings.atomic import write_whole
     from trackwright.trackers.recordings.rig_file import rig_text
@@ -127,8 +126,7 @@ def survey(
 def trackers(tracker: Name | None = None, folder: Path | None = None, /) -> int:
     """List the trackers and the tables they read; the tunables of one for a recording.
 
-    The first that fits the tables of a recording is chosen where none is named. A tracker of your own is a Python file:
-    --tracker FILE.py:NAME. Tunables have the names of --set, --tune, --bound and --over.
+    Without --tracker the first that fits is chosen. Tunables have the names of --set, --tune, --bound and --over.
 
     Args:
         tracker: one of the list, or FILE.py:NAME of a TrackerSpec of your own, whose tunables are listed.
@@ -146,12 +144,15 @@ def trackers(tracker: Name | None = None, folder: Path | None = None, /) -> int:
     run_file_of(tracker)
     recording = read_recording(folder)
     # jax takes a second to import, which a refused recording need not wait for.
+    import numpy as np
+
     from trackwright.trackers.catalogue import build
     from trackwright.trackers.core.model.tunable import meanings
 
     named = build(tracker, recording)
     for name, meaning in meanings(named.tracker).items():
         node = named.tunables[name]
-        value = f"{node.value} {node.unit.removeprefix('1')}".rstrip() + f" ({node.bounds})" * bool(node.bounds)
+        numbers = ", ".join(f"{x:.6g}" for x in np.ravel(node.value))
+        value = f"{numbers} {node.unit.removeprefix('1')}".rstrip() + f" ({node.bounds})" * bool(node.bounds)
         print(textwrap.fill(f"{name} = {value}: {meaning}", 120, subsequent_indent=" " * 4, break_on_hyphens=False))
     return 0

@@ -53,6 +53,15 @@ def test_a_world_is_a_recording_whose_tables_choose_their_tracker_and_a_tag_depe
     assert manifest["command"][:2] == ["trackwright", "simulate"]
 
 
+def test_a_tracker_is_listed_with_its_numbers_and_leaves_as_c(beginnings, tmp_path):
+    said = trackwright("trackers", "uwb", beginnings / "good")
+    assert "motion.sigma_a = 0.44 m/s^2/sqrt(Hz) (> 0): " in said.out
+    said = trackwright("export", beginnings / "good", "--format", "c", "--tag", "T1", "--out", tmp_path / "tag.c")
+    assert said.code == 0, said.err
+    assert {"tag.c", "tag.h", "tag.csv"} <= {path.name for path in tmp_path.iterdir()}
+    assert "tag_step" in (tmp_path / "tag.h").read_text("utf-8")
+
+
 def test_trackers_are_listed_with_their_tables():
     said = trackwright("trackers")
     named = [line.split()[0] for line in said.out.splitlines() if line[:1].strip()]
