@@ -21,7 +21,7 @@ from trackwright.trackers.recordings.tracks_table import require_sources as sour
 def evaluate_run(run: Path, options: EvaluateOptions) -> int:
     """Evaluates an output folder of `track`, prints the errors and writes evaluation.json.
 
-    Returns the exit code: 1 where `--fail-if` holds, else 3 where recordings of an archive are left out.
+    Returns the exit code: 1 where `--fail-if` holds, else 3 where recordings of an archive are left out unasked.
     """
     archive = (run / RECORDINGS).is_dir() and not options.truth
     if archive and not (run / RESULTS).is_file():
@@ -36,7 +36,7 @@ def evaluate_run(run: Path, options: EvaluateOptions) -> int:
     print(text.to_json(evaluation) if options.json else shown, end="")
     for line in refused:
         notice(f"not evaluated: {line}")
-    return code_of(evaluation, options.fail_if) or (LEFT_OUT if refused else 0)
+    return code_of(evaluation, options.fail_if) or (LEFT_OUT if refused and not options.allow_left_out else 0)
 
 
 def code_of(evaluation: Evaluation, fail_if: str | None) -> int:

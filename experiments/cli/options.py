@@ -240,6 +240,7 @@ class EvaluateOptions:
         rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
         json: print all metrics of a run as JSON instead of a table.
         fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
+        allow_left_out: exit with code 0, not 3, where recordings of an archive are left out.
         out: a folder for the page that compares several runs.
     """
 
@@ -251,6 +252,7 @@ class EvaluateOptions:
     rpe: tuple[Annotated[str, Parameter(metavar="STEP")], ...] = ()
     json: Annotated[bool, Parameter(group=OUTPUT)] = False
     fail_if: Annotated[str, Parameter(metavar="CONDITION", group=OUTPUT)] | None = None
+    allow_left_out: Annotated[bool, Parameter(group=OUTPUT)] = False
     out: Out | None = None
 
 

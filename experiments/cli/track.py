@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -17,6 +18,8 @@ from trackwright.experiments.cli.options import (
     TuneOptions,
 )
 from trackwright.trackers.core.errors import UnusableInput
+
+DEFAULTS, NUMBERS, READINGS = EvaluateOptions(), Numbers(), Readings()
 
 
 def track(*recordings: Recording, options: TrackOptions) -> int:
@@ -51,20 +54,15 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
         return track_together(folders, refused, options, begin)
 
 
-DEFAULTS, NUMBERS, READINGS = EvaluateOptions(), Numbers(), Readings()
-
-
 def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> int:
     """Error metrics of estimates against truth; a comparison of runs.
 
-    By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, or a table with t_s,
-    x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
-
-    Of several runs: their metrics side by side, and each one's differences from the first, with --out alone.
+    By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, or a table with t_s, x_m,
+    y_m), and with --align and what follows it, also absolute and relative pose errors as in evo. Of several runs: their
+    metrics side by side, and each one's differences from the first, with --out alone.
 
     Args:
-        runs: the output folder of `track`, of one recording, several or an archive, or a file of estimates, of one
-            tag; to compare, two or more folders of `track`.
+        runs: a folder of `track`, of any number of recordings, or a file of estimates; to compare, several folders.
     """
     from trackwright.experiments.cli.evaluating import evaluate_poses, evaluate_run, print_comparison
 
@@ -78,7 +76,7 @@ def evaluate_tracks(*runs: Recording, options: EvaluateOptions = DEFAULTS) -> in
         raise UnusableInput("evaluate: --out is the folder for a comparison; expected two runs or more; leave it out")
     if not run.exists():
         raise UnusableInput(f"{run}: no such file; expected a folder with tracks.parquet, or a file of estimates")
-    plain = EvaluateOptions(truth=truth, used=options.used, json=options.json, fail_if=options.fail_if)
+    plain = replace(options, align=None, rpe=(), time_offset=0.0, time_tolerance=DEFAULTS.time_tolerance)
     of_poses = run.is_file() or options != plain or not all(path.is_dir() for path in truth)
     return (evaluate_poses if of_poses else evaluate_run)(run, options)
 
