@@ -11,16 +11,16 @@ from trackwright.experiments.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-    "trackers": 23_070,
+    "trackers": 23_325,
     "sim": 2_150,
-    "tuning": 4_805,
+    "tuning": 4_880,
     "experiments": 9_910,
     "trackwright": 30,
-    "tests": 26_040,
+    "tests": 26_265,
 }
 """The most lines of Python of each folder at the top."""
 
-PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 39_960, 266, 42_900, 13
+PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 40_290, 269, 43_200, 13
 
 
 def _files(*suffixes: str) -> list[Path]:
