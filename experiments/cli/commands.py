@@ -18,6 +18,7 @@ from trackwright import __version__
 from trackwright.trackers.core.errors import UnusableInput
 
 ABOUT = "Trackers for wireless indoor positioning: how accurate, with which noise levels?"
+EPILOGUE = "COMMAND --help-all has the options that are rarely needed, too."
 
 COMMANDS = {
     "import": "cli.exchange:import_source",
@@ -51,7 +52,7 @@ def new_app(name: str, about: str | None = None, version: str | None = None) -> 
     return App(
         name=name, help=about, help_flags=("--help", "-h", "--help-all"), help_format="markdown", version=version,
         version_flags=() if version is None else ("--version", "-V"), default_parameter=options, print_error=False,
-        result_action="return_value", exit_on_error=False, suppress_keyboard_interrupt=False,
+        result_action="return_value", exit_on_error=False, suppress_keyboard_interrupt=False, help_epilogue=EPILOGUE,
     )  # fmt: skip
 
 
@@ -71,5 +72,6 @@ def answered(app: App, words: Sequence[str], program: str) -> int:
         code: int | None = app(words)
     except CycloptsError as error:
         error.verbose = False
-        raise UnusableInput(f"{error} See `{' '.join((program, *(error.command_chain or ())))} --help`.") from error
+        said = str(error).replace("Unused Tokens", "words beyond what it takes")
+        raise UnusableInput(f"{said} See `{' '.join((program, *(error.command_chain or ())))} --help`.") from error
     return code or 0

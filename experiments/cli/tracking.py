@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import NamedTuple
 
 import polars as pl
@@ -83,8 +82,7 @@ def track_together(
     fit, unfit = [folder for folder, line in lacking if not line], [line for _, line in lacking if line]
     if not fit:
         raise tw.UnusableInput(unfit[0])
-    with suppress(OSError):
-        (out / RESULTS).unlink(missing_ok=True)  # left by an earlier archive
+    (out / RESULTS).unlink(missing_ok=True)  # left by an earlier archive
     run, lines = tracked(name, fit, options, begin)
     notices(lines)
     for file, rows in files_of(run).items():

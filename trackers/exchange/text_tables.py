@@ -167,6 +167,7 @@ def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
         orders = [f"mm{mark}dd{mark}yyyy", f"dd{mark}mm{mark}yyyy"]
         orders = ["dd-mmm-yyyy"] if re.search("-[A-Za-z]{3}-", given[row]) else orders
         fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
+        fix = "two digits of a year, AM and PM are not read; write them in full" if order in orders else fix
         raise UnusableInput(f"{file.location(row, column)}: {given[row]!r}; expected {order}, {alike}: {fix}")
     return found
 

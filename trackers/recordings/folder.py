@@ -190,7 +190,7 @@ class Selection:
         lacking = [tag for tag in self.tags if tag not in present]
         if lacking:
             raise UnusableInput(f"{path}: no tag {listed(map(repr, lacking))}; its tags: {listed(present, 10)}")
-        tables = {name: self._rows(table, name in KINDS) for name, table in folder.tables.items()}
+        tables = {name: self._rows(table, name in KINDS, f"{path}: ") for name, table in folder.tables.items()}
         for name, table in tables.items():
             of_tags = self._rows(folder.tables[name], False)
             if of_tags.height and not table.height:
@@ -212,7 +212,7 @@ class Selection:
             raise UnusableInput(f"no estimate is of these tags and times; expected {expected}")
         return kept
 
-    def _rows(self, table: pl.DataFrame, in_time: bool) -> pl.DataFrame:
+    def _rows(self, table: pl.DataFrame, in_time: bool, where: str = "") -> pl.DataFrame:
         """The rows of the tags, and where asked of the time; raises UnusableInput for times that cannot be meant."""
         if self.tags:
             table = table.filter(pl.col("tag").cast(pl.String).is_in(list(self.tags)))
@@ -223,7 +223,7 @@ class Selection:
         for time in (low, high):
             if 0.0 < time < UNIX_S <= first:
                 raise UnusableInput(
-                    f"the times count from 1970, and {time:.12g} s is long before them; {time:.12g} s after the "
+                    f"{where}the times count from 1970, and {time:.12g} s is long before them; {time:.12g} s after the "
                     f"start is {first + time:.12g}"
                 )
         return table.filter(pl.col("t_s").is_between(low, high))

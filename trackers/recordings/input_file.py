@@ -88,12 +88,13 @@ def read_model(path: Path, model: type[T], expected: str, fix: str = "", version
         return TypeAdapter(model).validate_python(content)
     except ValidationError as problem:
         error = problem.errors(include_url=False)[0]
+    unknown = error["type"] == "literal_error" and "[key]" in error["loc"]
     parts = (f" {part + 1}" if isinstance(part, int) else f".{part}" for part in error["loc"] if part != "[key]")
     place = "".join(parts).removeprefix(".")
     value = error["input"].tolist() if isinstance(error["input"], np.ndarray) else error["input"]
     if error["type"] == "missing":
         words = "is missing"
-    elif error["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+    elif error["type"] in ("unexpected_keyword_argument", "extra_forbidden") or unknown:
         words = "is no key of it"
     elif "error" in error.get("ctx", {}):
         words = str(error["ctx"]["error"])

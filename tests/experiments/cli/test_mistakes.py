@@ -52,7 +52,7 @@ MISTAKES = [
     ("tune {blind} --tracker fix-kf --objective rmse --out out", "objective rmse needs truth", "nll"),
     ("tune x --out out --force", "--force"),
     ("study nothing", "study 'nothing': unknown", "expected a .toml or .py file"),
-    ("study a b", "Unused Tokens: ['b']"),
+    ("study a b", "words beyond what it takes: ['b']"),
     (TUNE + "--steps 0", "for --steps. expected at least 1"),
     (TUNE + "--steps 1.5", 'unable to convert "1.5" into int'),
     (TUNE + "--tune motion.sigma_q", "matches no tunable (did you mean motion.sigma_a?); this tracker has: motion.s"),

@@ -200,7 +200,7 @@ def test_what_cannot_be_read_is_refused_with_its_place_and_the_usual_fix(tmp_pat
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("x = 1", "x = 'x', expected 'tables'"),
+        ("x = 1", "x is no key of it"),
         ("tables = []", "no tables; expected entries"),
         ('[[tables]]\ntable = "ranges"\ntabel = "x"', "tables 1.tabel is no key of it"),
         ('[[tables]]\ntable = "range"', "tables 1: table 'range'; expected one of ranges"),

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.seconds import span
+from trackwright.trackers.core.data.seconds import UNIX_S, span
 from trackwright.trackers.core.errors import listed, significant
 from trackwright.trackers.core.model.rig import SAY_SIDE, THIN, Rig
 from trackwright.trackers.recordings.checks import CheckResult, Level
@@ -202,18 +202,16 @@ def check_rates(tables: Tables) -> Results:
 def check_times(tables: Tables, base: bool = True) -> Results:
     """Errors and warnings of the unit of times; of the `base`, warnings of a late start, and the span of all tables."""
     first, last = _ends(*tables.values())
-    units = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"), (1e8, "seconds"))
+    units = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"))
     unit = next((unit for least, unit in units if first > least), "")
     steps = [float(step) for table in tables.values() if (step := table["t_s"].unique().diff().median()) is not None]  # type: ignore[arg-type]
-    if unit and (base or unit != "seconds"):
-        message = f"starts at {first:.0f}: looks like {unit} since 1970, expected seconds since the start of recording"
-        fix = f"; import with --columns t_s=COLUMN-{first:.0f}" * (unit == "seconds")
-        yield CheckResult("warning" if fix else "error", "t_s", message + fix)
+    if unit:
+        yield CheckResult("error", "t_s", f"starts at {first:.0f}: looks like {unit} since 1970, expected seconds")
     elif steps and min(steps) >= 5 and last - first > 1000:
         message = f"rows {min(steps):.4g} s apart over {last - first:.6g} s: looks like milliseconds, expected seconds"
         yield CheckResult("warning", "t_s", message)
     elif base:
-        late = ", expected a start near 0" * (abs(first) > 60.0)
+        late = ", expected a start near 0, or seconds since 1970" * (abs(first) > 60.0 and first < UNIX_S)
         yield CheckResult("warning" if late else "info", "t_s", f"from {span(first, last)}{late}")
 
 
@@ -224,7 +222,7 @@ def _ends(*tables: pl.DataFrame) -> tuple[float, float]:
 
 def check_clocks(measured: Tables, truth: pl.DataFrame | None) -> Results:
     """Errors: streams whose rows all have one time, tables far in time from the first, and a truth of another time."""
-    clocks = "as two time zones, or one counts from 1970; expected one clock for all tables"
+    clocks = "as two time zones, or clocks of different zeros; expected one: add the difference to t_s of one by import"
     one, (first, last) = next(iter(measured)), _ends(next(iter(measured.values())))
     for name, table in measured.items():
         of_stream = table.group_by(table_kinds()[name].layout(table.columns).ids).agg(n=pl.len(), times=T.n_unique())
@@ -246,7 +244,10 @@ def check_clocks(measured: Tables, truth: pl.DataFrame | None) -> Results:
 
 
 def check_heights(rig: Rig, truth: pl.DataFrame) -> Results:
-    """An error for each tag of known height that its truth contradicts."""
+    """An error for each tag of known height that its truth contradicts, and for anchors below 0 with a truth above."""
+    highest = max((place[2] for place in rig.anchors.values()), default=0.0)
+    if highest < 0.0 < (truth["z_m"].median() or 0.0):  # type: ignore[operator]
+        yield CheckResult("error", "rig.toml", "z of all anchors is negative, of the truth positive: one points down")
     known = {tag: of.height for tag, of in rig.tags.items() if of.height is not None}
     for tag, z in truth.group_by("tag", maintain_order=True).agg(C("z_m").median()).drop_nulls().iter_rows():
         if abs(z - known.get(tag, z)) > OFF_M:
