@@ -9,6 +9,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.checks import LEVELS, CheckResult, rules
 from trackwright.trackers.recordings.checks import readings as read
+from trackwright.trackers.recordings.checks.contradictions import check_contradictions
 from trackwright.trackers.recordings.checks.mistakes import check_mistakes
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
@@ -38,7 +39,7 @@ def _results(recording: RecordingFolder, full: bool, calibrated: bool = False) -
         if view is not None and not view.kind.numbered:
             results += check_mistakes(view, calibrated)
     if "ranges" in tables and "truth" not in tables and sound and not calibrated:
-        results += rules.check_triangles(rig, tables["ranges"])
+        results += check_contradictions(rig, tables["ranges"])
     # Heights are a part of the frame.
     if "truth" in tables and not any(one.level == "error" and "the truth" in one.message for one in results):
         results += rules.check_heights(rig, tables["truth"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import combinations, permutations
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -283,22 +283,6 @@ def check_geometry(rig: Rig, tables: Tables) -> Results:
             if dimension < (3 if noun == "anchor" else 2):
                 good = known and level and dimension == 2
                 yield CheckResult("info" if good else "warning", "rig.toml", f"the {noun}s are {what}")
-
-
-def check_triangles(rig: Rig, ranges: pl.DataFrame) -> Results:
-    """A warning of anchors whose ranges of one moment contradict their distance from others: triangles do not close."""
-    moments = ranges.select("tag", C("anchor").cast(pl.String), x="range_m", at=(T / 0.2).floor()).drop_nulls()
-    number = C("at").rank("dense")
-    pairs = moments.filter(number % (number.max() / 200).ceil() == 0).join(moments, ["tag", "at"], suffix="_2")
-    apart = [(a, b, float(np.linalg.norm(p - q))) for (a, p), (b, q) in permutations(rig.anchors.items(), 2)]
-    pairs = pairs.join(pl.DataFrame(apart, ["anchor", "anchor_2", "apart"], orient="row"), ["anchor", "anchor_2"])
-    open_by = pl.max_horizontal((X - C("x_2")).abs() - C("apart"), C("apart") - X - C("x_2"))
-    of = pairs.group_by("anchor").agg(share=(open_by > 2 * OFF_M).mean()).sort("share", descending=True)
-    if len(of) > 2 and (worst := of["share"][0]) > 0.2:
-        named = of.filter(C("share") > 0.6 * worst)["anchor"].to_list()
-        message = f"with distances between anchors, {worst:.0%} of the ranges of {listed(named)} contradict others of "
-        fix = "the same moment: its id, place or unit is wrong, or its readings are wild"
-        yield CheckResult("warning", "ranges", message + fix)
 
 
 def without_height(rig: Rig, fixes: pl.DataFrame) -> list[str]:

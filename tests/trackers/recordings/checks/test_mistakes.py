@@ -22,6 +22,7 @@ from tests.trackers.recordings.checks.made import (
     with_columns,
     with_rows,
 )
+from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.checks import format_results
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -136,11 +137,15 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "times of 0": Case("warning", "times of 0 in", with_columns("ranges", t_s=pl.when(ROW % 90 == 0).then(0.0).otherwise(T + 1.66e9)), False),
     }),
     "hall without truth": (lambda: blind(hall()), {
-        "feet": Case("warning", "of the same moment", with_columns("ranges", R / 0.3048)),
+        "feet": Case("error", "with the ranges multiplied by 0.3048", with_columns("ranges", R / 0.3048)),
+        "places in centimetres": Case("error", "multiplied by 0.01: rig.toml is in", with_anchors(lambda a: {k: 100 * v for k, v in a.items()})),
+        "height of the tag": Case("error", "correct height_m", lambda one: replace(one, rig=replace(one.rig, tags={"T": Tag(height=11.0)}))),
+        "ids exchanged": Case("error", "with anchors A2 and A5 swapped", _exchanged("A2", "A5")),
         "feet of an anchor": Case(
-            "warning", "78% of the ranges of A4 contradict", with_columns("ranges", range_m=pl.when(A1 == "A4").then(R / 0.3048).otherwise(R)),
+            "warning", "0.044 m without anchor A4", with_columns("ranges", range_m=pl.when(A1 == "A4").then(R / 0.3048).otherwise(R)),
         ),
-        "an anchor elsewhere": Case("warning", "48% of the ranges of A2 contradict", together(only("ranges"), _anchor("A2", (6.0, -6.0, 2.4)))),
+        "a broken anchor": Case("warning", "without anchor A5", with_columns("ranges", range_m=pl.when((A1 == "A5") & (T > 10)).then(5.0).otherwise(R))),
+        "an anchor elsewhere": Case("warning", "without anchor A2", together(only("ranges"), _anchor("A2", (6.0, -6.0, 2.4)))),
     }),
     "differences": (differences, {
         "the sign": Case("error", "the tdoa multiplied by -1", with_columns("tdoa", -TD)),
