@@ -167,34 +167,45 @@ def robust_weights(residuals: np.ndarray, scales: np.ndarray) -> np.ndarray:
 
 
 class Equations:
-    """All n ranges at a solution: residuals (n,), m, their weights, and derivatives by anchors and by paths. `factor`:
-    of the paths' information. `slopes` (M, U) and `step` (M,): how far paths move with anchors, and without. `system`
-    (U, U), `gradient` (U,): the information of anchors with the paths eliminated, without the prior.
+    """All n ranges at a solution: residuals (n,), m, their weights, and derivatives by anchors and by paths; `factor`:
+    of the paths' information.
 
     `damping`: the share by which the diagonal of the paths' information grows. `expected`: with the weights that errors
     of the solution's scales have on average."""
 
     def __init__(self, walks: Walks, solution: Solution, damping: float = 0.0, expected: bool = False):
         (self.residuals, units), scales = walks.errors(solution), solution.scales[walks.anchor]
+        self._walks, self._solution, self._units = walks, solution, units
         self.weights = FISHER / scales**2 if expected else robust_weights(self.residuals, scales)
-        own = (
-            np.column_stack([-units, np.ones(len(units))])[:, None]
-            * np.eye(len(solution.anchors))[walks.anchor, :, None]
-        )
-        self.partial = own.reshape(len(units), -1)
         away = sparse.csr_array((units.ravel(), np.arange(units.size), np.arange(0, units.size + 1, 3)))
         self.along, (bending, walk) = away @ walks.spread, walks.bending
-        rough = bending.multiply(1.0 / solution.densities[walk]) @ bending.T
-        weighted = sparse.csr_array(self.along.T.multiply(self.weights))
-        information = weighted @ self.along + rough
+        self._rough = bending.multiply(1.0 / solution.densities[walk]) @ bending.T
+        self._weighted = sparse.csr_array(self.along.T.multiply(self.weights))
+        information = self._weighted @ self.along + self._rough
         information = information + sparse.diags_array(damping * information.diagonal() + RIDGE)
         # Banded: no order has less fill.
         self.factor = splu(sparse.csc_array(information), "NATURAL", 0.0, options={"SymmetricMode": True})
-        cross, scaled = weighted @ self.partial, self.partial.T * self.weights
-        slope = weighted @ self.residuals - rough @ solution.path
-        self.slopes, self.step = self.factor.solve(cross), self.factor.solve(slope)
-        self.system = scaled @ self.partial - cross.T @ self.slopes
-        self.gradient = scaled @ self.residuals - self.slopes.T @ slope
+
+    @cached_property
+    def partial(self) -> Float[np.ndarray, "n U"]:
+        """The derivatives of the ranges by the anchors."""
+        own, each = np.column_stack([-self._units, np.ones(len(self._units))]), np.eye(len(self._solution.anchors))
+        return (own[:, None] * each[self._walks.anchor, :, None]).reshape(len(own), -1)
+
+    @cached_property
+    def slope(self) -> Float[np.ndarray, " M"]:
+        """The gradient by the paths."""
+        return self._weighted @ self.residuals - self._rough @ self._solution.path
+
+    @cached_property
+    def slopes(self) -> Float[np.ndarray, "M U"]:
+        """How far paths move with anchors."""
+        return self.factor.solve(self._weighted @ self.partial)
+
+    @cached_property
+    def system(self) -> Float[np.ndarray, "U U"]:
+        """The information of anchors with the paths eliminated, without the prior."""
+        return (self.partial.T * self.weights) @ self.partial - (self._weighted @ self.partial).T @ self.slopes
 
 
 def cost_of(walks: Walks, solution: Solution, prior: Prior) -> float:
@@ -228,10 +239,11 @@ def solved(walks: Walks, start: Solution, prior: Prior, steps: int = STEPS, leve
 def _stepped(walks: Walks, solution: Solution, prior: Prior, damping: float) -> Solution:
     """The solution after a damped step of Gauss and Newton."""
     found, free, move = Equations(walks, solution, damping), prior.free, np.zeros(prior.free.shape)
-    gradient = found.gradient + prior.precision @ (prior.mean - solution.anchors.ravel())
+    gradient = (found.partial.T * found.weights) @ found.residuals - found.slopes.T @ found.slope
+    gradient += prior.precision @ (prior.mean - solution.anchors.ravel())
     block = (found.system + prior.precision)[np.ix_(free, free)]
     move[free] = np.linalg.solve(block + np.diag(damping * np.diag(block) + 1e-9), gradient[free])
-    path = solution.path + found.step - found.slopes @ move
+    path = solution.path + found.factor.solve(found.slope) - found.slopes @ move
     return replace(solution, anchors=solution.anchors + move.reshape(-1, 4), path=path)
 
 

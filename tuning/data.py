@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -30,28 +30,21 @@ from trackwright.tuning.objectives import (
 )
 from trackwright.tuning.problem import Problem, is_stochastic
 
-FLAT_M = 1.0
-"""Most difference in height, m, of anchors in whose plane heights may be mirrored."""
-
-SEGMENT_ROWS = 8000
-"""Rows of the segments that long recordings are cut into, which are fitted side by side."""
-
-
-Weigh = Literal["recordings", "rows"]
-"""What has the same say in an objective: each recording, or each row."""
+FLAT_M = 1.0  # most difference in height, m, of anchors in whose plane heights may be mirrored
+SEGMENT_ROWS = 8000  # rows of the segments that long recordings are cut into, which are fitted side by side
 
 
 def trajectory_weights(
-    batches: Sequence[Batch], recordings: Sequence[Sequence[str]], weigh: Weigh, needs_truth: bool
+    batches: Sequence[Batch], recordings: Sequence[Sequence[str]], needs_truth: bool
 ) -> list[Float[np.ndarray, " B"]]:
     """The weight of each trajectory of the batches, with which the rows of every recording add up to the same number.
 
     `recordings`: of each batch, the recording of each of its trajectories. Rows with known truth count where the
     objective `needs_truth`, else all rows. The weighted number of rows is the number of rows, so that
-    recordings of one length have weight 1. All weights are 1 if rows have the same weight.
+    recordings of one length have weight 1.
     """
-    if weigh == "rows" or not batches:
-        return [np.ones(batch.size) for batch in batches]
+    if not batches:
+        return []
     names = [np.asarray(of_batch) for of_batch in recordings]
     rows = [_rows(batch, needs_truth) for batch in batches]
     joined, total = np.concatenate(names), np.concatenate(rows)
@@ -86,7 +79,6 @@ class FitData:
     dimensions: int
     training: list[Trajectory]
     held_out: list[Trajectory]
-    weigh: Weigh
     unused: tuple[str, ...] = ()
 
     def batches(self, held_out: bool = False) -> list[Batch]:
@@ -95,8 +87,7 @@ class FitData:
 
     def weights(self, held_out: bool = False) -> list[Float[np.ndarray, " B"]]:
         """The weight of each trajectory of `batches`."""
-        names = self.recordings(held_out)
-        return trajectory_weights(self.batches(held_out), names, self.weigh, self.objective.needs_truth)
+        return trajectory_weights(self.batches(held_out), self.recordings(held_out), self.objective.needs_truth)
 
     def recordings(self, held_out: bool = False) -> list[list[str]]:
         """The name of the recording of each trajectory of `batches`."""
@@ -113,7 +104,6 @@ def fit_data(
     held_out: Sequence[RecordingFolder] = (),
     segment_rows: int = SEGMENT_ROWS,
     dimensions: int | None = None,
-    weigh: Weigh = "recordings",
 ) -> FitData:
     """The data of a fit to the trajectories of one tracker, cut into segments; `held_out`: folders not fitted to.
 
@@ -151,7 +141,7 @@ def fit_data(
             raise UnusableInput(f"objective {name} needs truth{heights}, and {where} have none; use the objective nll")
     used = {trajectory.folder.name for part in parts for trajectory in part}
     unused = tuple(dict.fromkeys(t.folder.name for t in trajectories if t.folder.name not in used))
-    return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, weigh, unused)
+    return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, unused)
 
 
 def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | None) -> int:
@@ -251,7 +241,6 @@ def fit_arrays(
     objective: str | AbstractObjective | None,
     held_out: Any,
     dimensions: int | None = None,
-    weigh: Weigh = "recordings",
 ) -> FitArrays:
     """Tracker, batches and objective of a fit, from what `tuning.fit` takes; raises UnusableInput, a ValueError."""
     if isinstance(recordings, FitData):
@@ -264,7 +253,7 @@ def fit_arrays(
         training = folder_list(recordings)
         apart = folder_list(held_out) if held_out != () else []
         batch = tracker.only_batch([*training, *apart])
-        return FitArrays.of(fit_data(batch, objective, apart, dimensions=dimensions, weigh=weigh))
+        return FitArrays.of(fit_data(batch, objective, apart, dimensions=dimensions))
     if not isinstance(tracker, AbstractTracker):
         raise UnusableInput(
             f"fit: found {type(tracker).__name__} for the tracker; expected a tracker of arrays or by name; usual fix: "
@@ -274,8 +263,8 @@ def fit_arrays(
     apart_batches = [] if isinstance(held_out, (tuple, list)) and not held_out else _batches(tracker, held_out)
     goal = _array_objective(objective, tracker, batches, apart_batches, dimensions)
     names, apart_names = (_numbered(rows) for rows in (batches, apart_batches))
-    weights = trajectory_weights(batches, names, weigh, goal.needs_truth)
-    apart_weights = trajectory_weights(apart_batches, apart_names, weigh, goal.needs_truth)
+    weights = trajectory_weights(batches, names, goal.needs_truth)
+    apart_weights = trajectory_weights(apart_batches, apart_names, goal.needs_truth)
     return FitArrays(tracker, batches, apart_batches, goal, weights, apart_weights, names)
 
 

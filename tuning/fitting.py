@@ -18,7 +18,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.tuning.checkpoint import from_arrays
-from trackwright.tuning.data import Arrays, FitData, Weigh, fit_arrays
+from trackwright.tuning.data import Arrays, FitData, fit_arrays
 from trackwright.tuning.fit_warnings import Issue, finished_cautions, identifiability_issues
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.optimisation import (
@@ -159,9 +159,8 @@ class FitOptions:
     the most of each start. `starts`: the tracker's own values, then the best of a coarse grid.
     `held_out`: recordings that select the best point and end the fit, as `fit` takes them. `dimensions`: 3 to judge an
     estimated height too; None for 3 with `state-nll`, where truth and estimates have heights and anchors are not level,
-    and 2 else. `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight. `prior`: of a
-    likelihood, `nll` or `state-nll`: by the spread between sites, or flat. `chunk`: trajectories in one compiled
-    call.
+    and 2 else. `prior`: of a likelihood, `nll` or `state-nll`: by the spread between sites, or flat. `chunk`:
+    trajectories in one compiled call. Each recording, in arrays each trajectory, has the same weight.
     """
 
     frozen: Sequence[str] = ()
@@ -171,7 +170,6 @@ class FitOptions:
     starts: int = 1
     held_out: Arrays | RecordingFolder | Sequence[RecordingFolder] = ()
     dimensions: int | None = None
-    weigh: Weigh = "recordings"
     prior: PriorKind = "sites"
     chunk: int = CHUNK
 
@@ -214,7 +212,7 @@ def fit(
     the objective is not finite at the first start.
     """
     frozen, bounds, chunk = options.frozen, options.bounds, options.chunk
-    data = fit_arrays(tracker, recordings, objective, options.held_out, options.dimensions, options.weigh)
+    data = fit_arrays(tracker, recordings, objective, options.held_out, options.dimensions)
     model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
     tune = tuned_by_default(model, objective.needs_truth) if tune is None else tune
     parameters = select_parameters(model, tune, frozen)

@@ -12,8 +12,7 @@ from typing import Any, NoReturn
 
 # Our own modules and cyclopts are imported in functions, so that Ctrl-C is answered in a line from the beginning.
 
-COLLECT_AFTER = 500_000
-"""Allocations between garbage collections: imports and tracing make many lasting objects, 300,000 before a track."""
+COLLECT_AFTER = 500_000  # allocations between garbage collections: imports and tracing make 300,000 that last
 
 BROKEN = {errno.EPIPE: 141, errno.ENOSPC: 2, errno.EDQUOT: 2, errno.EIO: 2}
 """Exit codes by the error of a standard output that takes no more."""
@@ -46,12 +45,13 @@ def main() -> None:
 
 
 def _settle() -> None:
-    """Collect garbage less often, and keep alarms of XLA off the terminal."""
+    """Collect garbage less often, keep alarms of XLA off the terminal, and small matrices on one core."""
     gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
     # What lives to the end needs no last collection, which took 0.6 s after jax was used.
     atexit.register(gc.freeze)
     # XLA reports a slow compilation as an error; those that fail reach us as exceptions.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # waiting threads took half of a survey; XLA has its own
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a Windows pipe lacks some of our characters

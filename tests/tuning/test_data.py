@@ -119,13 +119,10 @@ LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 
 def test_the_rows_of_every_recording_add_up_to_the_same():
     batches = [stack(walks([30, 60], 1)), stack(walks([200], 2))]
-    found = trajectory_weights(batches, [["a", "b"], ["b"]], "recordings", needs_truth=False)
+    found = trajectory_weights(batches, [["a", "b"], ["b"]], needs_truth=False)
     # 290 rows of two recordings: 145 each
     np.testing.assert_allclose(np.concatenate(found), [145 / 30, 145 / 260, 145 / 260])
-    assert (
-        np.concatenate(trajectory_weights(batches, [["a", "b"], ["b"]], "rows", needs_truth=False)).tolist() == [1] * 3
-    )
-    equal = trajectory_weights([stack(walks([50, 50, 50], 1))], [["a", "b", "c"]], "recordings", needs_truth=False)
+    equal = trajectory_weights([stack(walks([50, 50, 50], 1))], [["a", "b", "c"]], needs_truth=False)
     assert equal[0].tolist() == [1.0] * 3
 
 
@@ -133,7 +130,7 @@ def test_rows_with_truth_count_where_the_objective_judges_them():
     made = walks([40, 40], 3)
     position, known = made[1].truth["position"]
     made[1].truth["position"] = (position, known & (np.arange(40) < 10))
-    (found,) = trajectory_weights([stack(made)], [["a", "b"]], "recordings", needs_truth=True)
+    (found,) = trajectory_weights([stack(made)], [["a", "b"]], needs_truth=True)
     np.testing.assert_allclose(found, [25 / 40, 25 / 10])
 
 
@@ -156,19 +153,11 @@ def test_a_weight_of_three_is_three_trajectories(objective, copies):
     assert figure(tracker, [stack(made)], goal, [weights]) == pytest.approx(other.values[0], rel=1e-9)
 
 
-def test_a_long_recording_decides_a_fit_only_by_rows():
+def test_a_long_recording_decides_a_fit_no_more_than_a_short_one():
     made = [*walks([600], 6, sigma=0.2), *walks([60], 7, sigma=0.8)]
-    sigma = {
-        weigh: float(
-            tw.fit(line_tracker(), made, "nll", "sensors.gauge.sigma", tw.FitOptions(weigh=weigh, prior="flat")).values[
-                "sensors.gauge.sigma"
-            ]
-        )
-        for weigh in ("recordings", "rows")
-    }
-    # squares average to (0.2² + 0.8²) / 2 = 0.58², and by rows to 0.30²; the motion takes a part of the errors
-    assert sigma["rows"] < 0.36
-    assert 0.45 < sigma["recordings"] < 0.65
+    result = tw.fit(line_tracker(), made, "nll", "sensors.gauge.sigma", tw.FitOptions(prior="flat"))
+    # squares average to (0.2² + 0.8²) / 2 = 0.58², by rows to 0.30²; the motion takes a part of the errors
+    assert 0.45 < float(result.values["sensors.gauge.sigma"]) < 0.65
 
 
 @pytest.mark.slow
