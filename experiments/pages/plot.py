@@ -28,6 +28,8 @@ def _plot(chart: Callable[..., Chart], needs_truth: bool = True) -> Callable[...
 
     def plot(estimates: Any, recording: AnyRecording, *more: Any, ax: Any = None, **named: Any) -> Axes:
         several, runs = isinstance(estimates, Mapping), {}
+        if several and chart not in (charts.error_cdf, charts.coverage):
+            raise UnusableInput(f"{chart.__name__}: found {len(estimates)} runs by name; expected one; draw each")
         for name, run in (estimates if several else {"": estimates}).items():
             runs[name] = scored_tracks(run, recording, needs_truth).recordings[0]
             if needs_truth and not np.isfinite(runs[name].miss).any():

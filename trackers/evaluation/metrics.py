@@ -153,7 +153,7 @@ def _known(expressions: Mapping[str, pl.Expr], frame: pl.DataFrame | pl.LazyFram
 def _of_kind(kind: str) -> Iterator[Metric]:
     """The statistics of the sizes of errors of a kind."""
     n, total, squares = (C(f"{term} {kind}") for term in ("n", "sum", "squares"))
-    statistics = {"rmse": ("RMSE", (squares / n).sqrt()), "mean": ("mean error", total / n)}
+    statistics = {"rmse": ("RMSE", (squares / n).sqrt()), "mean": ("mean size of errors (MAE)", total / n)}
     statistics |= {name: (f"{100 * p:.0f}th percentile", C(f"{p} {kind}")) for name, p in SHARES.items()}
     statistics["median"] = "median error", statistics["median"][1]
     for name, (words, expr) in (statistics | {"max": ("largest error", C(f"largest {kind}"))}).items():
