@@ -25,6 +25,7 @@ import pytest
 
 from tests.faulty import good_tables, write_good
 from tests.in_process import trackwright
+from trackwright.experiments.lab.demo import REAL
 from trackwright.trackers.programs.program_cache import cache_programs
 
 cache_programs()
@@ -54,6 +55,12 @@ def few_memory_maps():
 def recordings() -> Path:
     """The folder of real recordings; a test that asks for it is skipped where there is none."""
     return _there("recordings", "TRACKWRIGHT_RECORDINGS")
+
+
+@pytest.fixture(scope="session")
+def shipped() -> Path:
+    """The folder of the two real recordings that come with the project: labyrinth and trolley."""
+    return REAL
 
 
 @pytest.fixture(scope="session")

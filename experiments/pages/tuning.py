@@ -59,7 +59,7 @@ class Verdict(NamedTuple):
     @property
     def got_worse(self) -> list[str]:
         """A sentence for each recording that got worse."""
-        worse = {name: d for name, d in self.recordings.items() if d.value < 0 and not d.high >= 0}
+        worse = {name: d for name, d in self.recordings.items() if d.high < 0}
         return [f"{name} got worse, {_changed(difference)}." for name, difference in worse.items()]
 
 

@@ -109,9 +109,9 @@ def test_a_run_of_one_tag_is_scored_by_a_trajectory_file(run, there):
     assert trackwright("evaluate", run, "--truth", there / "true.tum", "--tag", "T8").code == 0
 
 
-def test_what_track_writes_opens_in_evo_with_the_same_errors(recordings, tmp_path):
+def test_what_track_writes_opens_in_evo_with_the_same_errors(shipped, tmp_path):
     evo_modules()
-    folder = recordings / "labyrinth"
+    folder = shipped / "labyrinth"
     options = ("--tracker", "multilateration", *PLAIN, "--out", tmp_path / "run")
     said = trackwright("track", folder, *options)
     assert said.code == 0, said.err
