@@ -9,8 +9,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.checks import LEVELS, CheckResult, rules
 from trackwright.trackers.recordings.checks import readings as read
-from trackwright.trackers.recordings.checks.contradictions import check_contradictions
-from trackwright.trackers.recordings.checks.mistakes import check_mistakes
+from trackwright.trackers.recordings.checks.mistakes import check_contradictions, check_mistakes
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
 

@@ -116,6 +116,10 @@ class Compared(NamedTuple):
         positions, _ = self.paths.at([self.tags[k] for k in self.tag[starts[:-1]]], starts, self.times - delay)
         return self._replace(positions=positions)
 
+    def turned(self, yaw: float, centre: Float[np.ndarray, " 3"], to: Float[np.ndarray, " 3"]) -> Compared:
+        """The readings beside the true positions turned about the vertical at `centre`, which goes `to` a place."""
+        return self._replace(positions=to + (self.positions - centre) @ about_vertical(yaw).T)
+
     def errors(self) -> Float[np.ndarray, "N m"]:
         """The differences from the values that the positions imply: see `Kind.errors`."""
         return self.kind.errors(self.values, self.positions, self.sensors, self.columns)
@@ -160,20 +164,21 @@ def compared(recording: RecordingFolder, table: str) -> Compared | None:
     return view if len(view.group) else None
 
 
-def derivatives(errors: Callable[[np.ndarray], np.ndarray], x: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """The derivatives (…, k) of errors (…) by each of the numbers `x` (k,), where they are `there`."""
-    return np.stack([(errors(x + 1e-6 * unit) - there) / 1e-6 for unit in np.eye(len(x))], axis=-1)
+def about_vertical(yaw: float) -> Float[np.ndarray, "3 3"]:
+    """The matrix of a turn about z, rad."""
+    c, s = float(np.cos(yaw)), float(np.sin(yaw))
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def robust_fit(
     errors: Callable[[np.ndarray], Float[np.ndarray, "N m"]], start: Float[np.ndarray, " k"], steps: int = 15
 ) -> tuple[Float[np.ndarray, " k"], float]:
     """The numbers near `start` with the smallest errors, and their median size; errors that are NaN count nothing."""
-    from scipy.optimize import least_squares
+    from scipy.optimize import approx_fprime, least_squares
 
     flat, x = lambda x: errors(x).ravel(), np.asarray(start, float)
     # Where one of the two errors is unknown, as at the first time of the truth, there is no difference.
-    slopes = lambda x: np.nan_to_num(derivatives(flat, x, flat(x)))  # noqa: E731
+    slopes = lambda x: np.nan_to_num(approx_fprime(x, flat, 1e-6))  # noqa: E731
     for _ in range(3):
         scale = max(1.4826 * float(np.median(np.abs(np.nan_to_num(flat(x))))), 1e-9)
         # An error that becomes unknown is no gain.
