@@ -101,8 +101,8 @@ from trackwright.trackers.recordings.calibration import StationCalibration as St
 from trackwright.trackers.recordings.calibration import TagCalibration as TagCalibration
 from trackwright.trackers.recordings.calibration import read_calibration as read_calibration
 from trackwright.trackers.recordings.calibration import write_calibration as write_calibration
-from trackwright.trackers.recordings.checks import CheckResult as CheckResult
 from trackwright.trackers.recordings.checks.all_checks import check as check
+from trackwright.trackers.recordings.checks.rules import CheckResult as CheckResult
 from trackwright.trackers.recordings.folder import RecordingFolder as RecordingFolder
 from trackwright.trackers.recordings.folder import read_recording as read
 from trackwright.trackers.recordings.folder import read_recordings as read_all

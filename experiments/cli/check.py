@@ -26,8 +26,8 @@ def check(*recordings: Recording, tracker: Name | None = None) -> int:
         recordings: recording folders (rig.toml and tables), or folders of these.
         tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
     """
-    from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
+    from trackwright.trackers.recordings.checks.all_checks import format_results
     from trackwright.trackers.recordings.folder import read_recording, recordings_under
 
     run_file_of(tracker)

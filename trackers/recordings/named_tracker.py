@@ -22,7 +22,6 @@ from trackwright.trackers.recordings.checks.readings import (
     LEAST_PAIRS,
     MANY,
     Readings,
-    changes,
     quantisation_step,
     readings,
     repeated_share,
@@ -192,7 +191,7 @@ def source_repeats(read: Readings) -> bool:
     """Whether readings repeat the one before so often that most repeats are no new readings."""
     if not repeated_share(read) >= MANY:
         return False
-    follows, moved = changes(read)
+    follows, moved = read.follows, read.moved
     steps = np.array([quantisation_step(read, k) or 0.0 for k in range(len(read.columns))])
     clear = (np.abs(moved) > CLEAR * steps).any(axis=1)
     # A change follows the one before where the rows of both have a predecessor in one stream.

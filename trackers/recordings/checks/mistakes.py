@@ -16,8 +16,8 @@ from jaxtyping import Float
 
 from trackwright.trackers.core.errors import listed, significant
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.checks.readings import Compared, about_vertical, known_median, robust_fit
+from trackwright.trackers.recordings.checks.rules import CheckResult, Level
 from trackwright.trackers.recordings.kinds import KINDS, Kind
 
 # Log ratios of errors: price of a change and of each number, least gain, and that of numbers for one sensor. Errors

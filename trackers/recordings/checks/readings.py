@@ -23,24 +23,32 @@ QUANTILES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3)
 
 
 class Readings(NamedTuple):
-    """The values (N, m) of columns, NaN where one is missing, one stream (N,) of a tag and a sensor after another."""
+    """The values (N, m) of columns, NaN where one is missing, one stream of a tag and a sensor after another.
+
+    Of each reading but the first: whether it `follows` one in its stream, and how it `moved`; infinite where one lacks.
+    """
 
     columns: tuple[str, ...]
-    stream: Int[np.ndarray, " N"]
     values: Float[np.ndarray, "N m"]
+    follows: Bool[np.ndarray, " n"]
+    moved: Float[np.ndarray, "n m"]
 
 
 def readings(recording: RecordingFolder, name: str) -> Readings:
     """The readings of a table; of more than `MOST_ROWS`, equally many first ones of each stream."""
     rows = recording.rows(name)
-    measured, stream = KINDS[name].measured(recording.rig, rows), rows.of_each(np.arange(len(rows.tags)))
-    for number in measured.sensors.number.T:
-        stream = stream * len(measured.ids) + number
+    _, ids, columns, values, sensors = KINDS[name].measured(recording.rig, rows)
+    stream = rows.of_each(np.arange(len(rows.tags)))
+    for number in sensors.number.T:
+        stream = stream * len(ids) + number
     order = stable_order(stream)
     if len(order) > MOST_ROWS:
         counts = np.bincount(stream)
         order = order[within_groups(counts) < MOST_ROWS // np.count_nonzero(counts)]
-    return Readings(measured.columns, stream[order], measured.values[order])
+    order = order[np.isfinite(values[order]).any(axis=1)]
+    x, missing = values[order], np.isnan(values[order])
+    moved = np.where(missing[1:] & missing[:-1], 0.0, wrapped(np.diff(x, axis=0), columns))
+    return Readings(columns, x, np.diff(stream[order]) == 0, np.where(np.isnan(moved), np.inf, moved))
 
 
 def known_median(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
@@ -48,25 +56,14 @@ def known_median(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
     return np.array([np.median(c[~np.isnan(c)]) if not np.isnan(c).all() else np.nan for c in x.T])
 
 
-def changes(read: Readings) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, "n m"]]:
-    """Of each reading but the first: whether it follows one in its stream, and the change; infinite where one lacks."""
-    seen = np.isfinite(read.values).any(axis=1)
-    values, stream = read.values[seen], read.stream[seen]
-    missing = np.isnan(values)
-    moved = np.where(missing[1:] & missing[:-1], 0.0, wrapped(np.diff(values, axis=0), read.columns))
-    return stream[1:] == stream[:-1], np.where(np.isnan(moved), np.inf, moved)
-
-
 def repeated_share(read: Readings) -> float:
     """The share of the readings with a predecessor in their stream that equal it in all columns; NaN without any."""
-    follows, moved = changes(read)
-    return float(np.mean((moved[follows] == 0.0).all(axis=1))) if follows.any() else float("nan")
+    return float(np.mean((read.moved[read.follows] == 0.0).all(axis=1))) if read.follows.any() else float("nan")
 
 
 def quantisation_step(read: Readings, column: int) -> float | None:
     """The quantisation step of a column, in its unit; None where its changes are not multiples of one."""
-    follows, moved = changes(read)
-    x = np.abs(moved[:MOST_DIFFERENCES, column][follows[:MOST_DIFFERENCES]])
+    x = np.abs(read.moved[:MOST_DIFFERENCES, column][read.follows[:MOST_DIFFERENCES]])
     x = x[np.isfinite(x) & (x > 1e-12 * (1.0 + np.nanmax(np.abs(read.values[:, column]), initial=0.0)))]
     # The coarsest first: a few values off the steps, as means of two, are multiples of half a step.
     for candidate in np.unique(np.quantile(x, QUANTILES, method="lower"))[::-1] if len(x) >= LEAST_VALUES else ():
