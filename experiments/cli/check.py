@@ -109,7 +109,7 @@ def survey(
         unplaced = replace(folder.rig, anchors={})
         notices(require_sound(replace(folder, rig=unplaced, tables={"ranges": folder.tables["ranges"]}), force, True))
     from trackwright.experiments.pages.calibration import write_survey_page
-    from trackwright.trackers.recordings.atomic import write_whole
+    from trackwright.trackers.recordings.files import write_whole
     from trackwright.trackers.recordings.rig_file import rig_text
     from trackwright.tuning.survey import survey as survey_walks
 

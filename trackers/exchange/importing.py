@@ -21,7 +21,6 @@ from trackwright.trackers.core.user_file import fault_of, from_file, split_name
 from trackwright.trackers.exchange.mapping import ORIGIN, Source, TableMapping
 from trackwright.trackers.exchange.text_tables import Reading, columns_of, parsed, read_rows
 from trackwright.trackers.exchange.trajectories import Similarity, read_tum
-from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.checks.readings import (
     Compared,
     about_vertical,
@@ -29,6 +28,7 @@ from trackwright.trackers.recordings.checks.readings import (
     known_median,
     robust_fit,
 )
+from trackwright.trackers.recordings.files import beside
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from trackwright.trackers.recordings.kinds import KINDS, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text

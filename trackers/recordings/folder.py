@@ -21,9 +21,9 @@ import polars as pl
 from trackwright.trackers.core.data.seconds import UNIX_S, seconds
 from trackwright.trackers.core.errors import UnusableInput, has_control, listed
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.checks.rules import check_rows
 from trackwright.trackers.recordings.columns import TagRows, TruePaths
+from trackwright.trackers.recordings.files import beside
 from trackwright.trackers.recordings.kinds import KINDS, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackwright.trackers.recordings.tables import SUFFIXES, read_table

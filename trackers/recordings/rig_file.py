@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from trackwright.trackers.core.errors import UnusableInput, has_control
 from trackwright.trackers.core.model.rig import Point, Rig, Station, Tag, checked_knots
-from trackwright.trackers.recordings.input_file import NUMBERS, Number, read_model
+from trackwright.trackers.recordings.files import NUMBERS, Number, read_model
 
 FORMAT = 1
 RIG_FILE = "rig.toml"

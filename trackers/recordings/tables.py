@@ -18,7 +18,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.columns import QUATERNION
-from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.files import file_bytes
 from trackwright.trackers.recordings.kinds import Kind, Layout, table_kinds, unit_of
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
