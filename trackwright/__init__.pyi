@@ -112,7 +112,7 @@ from trackwright.trackers.recordings.kinds import Kind as Kind
 from trackwright.trackers.recordings.kinds import Sensors as Sensors
 from trackwright.trackers.recordings.kinds import add_kind as add_kind
 from trackwright.trackers.recordings.named_tracker import NamedTracker as NamedTracker
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec as TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec as TrackerSpec
 from trackwright.trackers.recordings.tracks import Tracks as Tracks
 from trackwright.trackers.recordings.trajectories import Trajectory as Trajectory
 from trackwright.trackers.recordings.trajectories import kind_trajectories as kind_trajectories

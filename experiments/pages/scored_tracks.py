@@ -21,8 +21,7 @@ from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, scored_
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, first_time
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch
-from trackwright.trackers.recordings.tracks import Tracks
+from trackwright.trackers.recordings.tracks import TrackerBatch, Tracks
 from trackwright.trackers.recordings.tracks_table import is_bearing
 from trackwright.tuning.diagnostics import student_t_dof_of
 

@@ -24,7 +24,7 @@ from trackwright.trackers.recordings.checks.readings import readings as readings
 from trackwright.trackers.recordings.checks.readings import repeated_share
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
     Trajectories,
     Trajectory,

@@ -23,7 +23,7 @@ from trackwright.trackers.parts.range_rows import (
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
     Trajectories,
     Trajectory,

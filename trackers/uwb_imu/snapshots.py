@@ -19,7 +19,7 @@ from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.recent_positions import latest_rows
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
     Trajectories,
     known_height,

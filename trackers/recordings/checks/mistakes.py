@@ -160,8 +160,8 @@ def _of_truth(view: Compared) -> Iterator[Change]:
         ("turned by {0:.1f}°, " + shifted, "frame", places, (0.07, inf, inf, inf, inf), [0, 1, 2, 3]),
         ("", "delay", delays, 0.1, [4]),
     ):
-        begun = partial(lambda _, starts: starts, starts=starts)
-        yield Change(f"the truth {how}{{4:.2f}} s later", cause, apply, False, of, begun, least, free, shown)
+        words = f"the truth {how}{{4:.2f}} s later"
+        yield Change(words, cause, apply, False, of, lambda _, x=starts: x, least, free, shown)  # type: ignore[misc]
 
 
 def _moves(view: Compared) -> bool:

@@ -14,12 +14,8 @@ from trackwright.trackers.recordings.columns import TruePaths, stable_order, wit
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors, wrapped
 
-# Most rows of a table and differences of a column; most and least readings of a sensor compared.
-MOST_ROWS, MOST_DIFFERENCES, MOST_OF_GROUP, LEAST_OF_GROUP = 100_000, 20_000, 500, 12
-# Least pairs that tell of repeats, and the share that is a warning; differences that tell a quantisation step, share of
-# these that are multiples, and distance from one in steps: one in 25 continuous values is as near.
-LEAST_PAIRS, MANY, LEAST_VALUES, MULTIPLES, NEAR = 50, 0.2, 20, 0.95, 0.02
-QUANTILES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3)
+# Most rows of a table, share of repeats that is a warning, most and least readings of a sensor compared.
+MOST_ROWS, MANY, MOST_OF_GROUP, LEAST_OF_GROUP = 100_000, 0.2, 500, 12
 
 
 class Readings(NamedTuple):
@@ -59,19 +55,6 @@ def known_median(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
 def repeated_share(read: Readings) -> float:
     """The share of the readings with a predecessor in their stream that equal it in all columns; NaN without any."""
     return float(np.mean((read.moved[read.follows] == 0.0).all(axis=1))) if read.follows.any() else float("nan")
-
-
-def quantisation_step(read: Readings, column: int) -> float | None:
-    """The quantisation step of a column, in its unit; None where its changes are not multiples of one."""
-    x = np.abs(read.moved[:MOST_DIFFERENCES, column][read.follows[:MOST_DIFFERENCES]])
-    x = x[np.isfinite(x) & (x > 1e-12 * (1.0 + np.nanmax(np.abs(read.values[:, column]), initial=0.0)))]
-    # The coarsest first: a few values off the steps, as means of two, are multiples of half a step.
-    for candidate in np.unique(np.quantile(x, QUANTILES, method="lower"))[::-1] if len(x) >= LEAST_VALUES else ():
-        multiples = np.round(x / candidate)
-        good = (np.abs(x / candidate - multiples) < NEAR) & (multiples > 0)
-        if good.mean() >= MULTIPLES:
-            return float(x[good].sum() / multiples[good].sum())
-    return None
 
 
 class Compared(NamedTuple):
