@@ -28,8 +28,7 @@ from trackwright.trackers.core.data.consistency import chi_square_probability, c
 from trackwright.trackers.core.data.seconds import time_label
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.comparison import main_size
-from trackwright.trackers.evaluation.rows import covariances
+from trackwright.trackers.evaluation.rows import covariances, main_size
 from trackwright.trackers.recordings.columns import TagRows, float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Measured

@@ -15,9 +15,8 @@ from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.data.seconds import zero_of
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
-from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, scored_rows, wrapped
+from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, main_size, scored_rows, wrapped
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, first_time
