@@ -92,8 +92,8 @@ from trackwright.trackers.linear import series as series
 from trackwright.trackers.mhk.tracker import mhk_tracker as mhk_tracker
 from trackwright.trackers.parts.fixes import FixSensor as FixSensor
 from trackwright.trackers.parts.fixes import fix_trajectories as fix_trajectories
-from trackwright.trackers.parts.range_rows import range_trajectories as range_trajectories
 from trackwright.trackers.parts.ranges import RangeSensor as RangeSensor
+from trackwright.trackers.parts.ranges import range_trajectories as range_trajectories
 from trackwright.trackers.programs.program_cache import cache_programs as cache_programs
 from trackwright.trackers.recordings.calibration import AnchorCalibration as AnchorCalibration
 from trackwright.trackers.recordings.calibration import Calibration as Calibration

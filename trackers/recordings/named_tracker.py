@@ -23,7 +23,7 @@ from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
 from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
 from trackwright.trackers.core.run.requirements import check_input
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.core.user_file import fault_of, split_name
+from trackwright.trackers.core.user_file import fault_of
 from trackwright.trackers.recordings.checks.readings import MANY, Readings, readings, repeated_share
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.kinds import KINDS, distinct, std_column, table_kinds
@@ -125,7 +125,7 @@ class TrackerSpec:
         joined = {key: Trajectories.joined(parts) for key, parts in grouped.items()}
         with faults_named(name, "build", self.build):
             built = [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
-        for batch in built if split_name(name)[0] else ():
+        for batch in built if ":" in name else ():  # a user's own, FILE.py:NAME
             with faults_named(name, "run", self.build):
                 check_input(batch.tracker, batch.trajectories[0].recording, name)
         return built

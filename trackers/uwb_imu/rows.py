@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.range_rows import (
+from trackwright.trackers.parts.ranges import (
     anchor_positions,
     lacks_a_plane,
     range_trajectories,
