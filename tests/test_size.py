@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from trackwright.experiments.cli.commands import COMMANDS
+from trackwright.experiments.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 LINES = {
