@@ -169,9 +169,5 @@ def beside(path: Path, make: Callable[[Path], object] = Path.touch) -> Iterator[
         make(temporary)
         yield temporary
     finally:
-        _remove(temporary)
-
-
-def _remove(path: Path) -> None:
-    with suppress(OSError):
-        shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
+        with suppress(OSError):
+            shutil.rmtree(temporary) if temporary.is_dir() else temporary.unlink(missing_ok=True)

@@ -24,9 +24,8 @@ from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, w
 from trackwright.trackers.core.run.requirements import check_input
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.core.user_file import fault_of
-from trackwright.trackers.recordings.checks.readings import MANY, Readings, readings, repeated_share
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
-from trackwright.trackers.recordings.kinds import KINDS, distinct, std_column, table_kinds
+from trackwright.trackers.recordings.kinds import KINDS, MANY_REPEATS, Streams, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.tracks import TrackerBatch, Tracks, track
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_height
 
@@ -104,8 +103,7 @@ class TrackerSpec:
 
     def refusal(self, folder: RecordingFolder, name: str) -> str | None:
         """Why the tracker, of this name, does not run on the folder, in one line; None where it fits."""
-        missing = self.missing(folder)
-        if missing is None:
+        if (missing := self.missing(folder)) is None:
             return None
         return f"{folder.path or folder.name}: tracker '{name}' needs {missing}; its tables: {', '.join(folder.tables)}"
 
@@ -234,8 +232,7 @@ class NamedTracker:
             except TypeError as error:
                 fix = "run it without smoothing"
                 raise UnusableInput(f"tracker '{self.name}' cannot be smoothed: {error}; {fix}") from error
-        finished: AbstractTracker = tracker
-        return finished
+        return tracker  # type: ignore[no-any-return]
 
     def __repr__(self) -> str:
         return f"<tracker {self.name}: {self.spec.about}; tunables {', '.join(self.tunables)}>"
@@ -278,7 +275,7 @@ def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[Recor
             lines += [f"{folder.name}: {line}"] * (line not in folder.notices)
         if folder.average_s is not None or not kind.averaged or name not in names:
             continue
-        if source_repeats(readings(own, name)):
+        if source_repeats(own.streams(name)):
             columns = kind.layout(rows.columns)
             values = [pl.col(column) for column in columns.values]
             same = pl.all_horizontal(x.eq_missing(x.forward_fill().shift().over(columns.ids)) for x in values)
@@ -291,9 +288,9 @@ def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[Recor
     return (replace(folder, tables={**folder.tables, **tables}) if tables else folder), lines
 
 
-def source_repeats(read: Readings) -> bool:
+def source_repeats(read: Streams) -> bool:
     """Whether readings repeat the one before so often that most repeats are no new readings."""
-    if not repeated_share(read) >= MANY:
+    if not read.repeated_share >= MANY_REPEATS:
         return False
     steps = np.array([quantisation_step(read, k) or 0.0 for k in range(len(read.columns))])
     clear = (np.abs(read.moved) > CLEAR * steps).any(axis=1)
@@ -304,10 +301,10 @@ def source_repeats(read: Readings) -> bool:
     share = float(np.mean((read.moved[after] == 0.0).all(axis=1)))
     # All columns repeat at most as often as each of them.
     chance = min((chance_of_repeat(read.moved[after, k], step) for k, step in enumerate(steps)), default=0.0)
-    return share >= MANY and share - chance > HELD * share
+    return share >= MANY_REPEATS and share - chance > HELD * share
 
 
-def quantisation_step(read: Readings, column: int) -> float | None:
+def quantisation_step(read: Streams, column: int) -> float | None:
     """The quantisation step of a column, in its unit; None where its changes are not multiples of one."""
     x = np.abs(read.moved[:MOST_DIFFERENCES, column][read.follows[:MOST_DIFFERENCES]])
     x = x[np.isfinite(x) & (x > 1e-12 * (1.0 + np.nanmax(np.abs(read.values[:, column]), initial=0.0)))]
@@ -334,7 +331,7 @@ def with_rounding(folder: RecordingFolder, names: Collection[str]) -> RecordingF
     for name in (n for n in KINDS if n in folder.tables and n in names):
         kind, table = KINDS[name], folder.tables[name]
         if kind.averaged and not any(std_column(column) in table.columns for column in kind.least):
-            read = readings(folder.unaveraged or folder, name)
+            read = (folder.unaveraged or folder).streams(name)
             steps = {column: quantisation_step(read, k) for k, column in enumerate(read.columns)}
             spreads = {std_column(c): pl.lit(step / math.sqrt(12.0)) for c, step in steps.items() if step is not None}
             if spreads:
@@ -360,8 +357,7 @@ def near_origin(folder: RecordingFolder) -> RecordingFolder:
         return folder
     x, y = middle.tolist()
     here = {"x_m": pl.col("x_m") - x, "y_m": pl.col("y_m") - y}
-    kinds = table_kinds()
-    tables = {name: t.with_columns(**here) if kinds[name].position else t for name, t in folder.tables.items()}
+    tables = {n: t.with_columns(**here) if table_kinds()[n].position else t for n, t in folder.tables.items()}
     return replace(folder, rig=_moved(rig, middle), tables=tables, origin=(x, y))
 
 

@@ -23,7 +23,6 @@ HIGHEST = 1e5  # metres, of a tag
 SHORTEST = 1e-6  # wavelength, m: of light
 NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
 
-
 Vector = Annotated[Point, NUMBERS]
 Quaternion = Annotated[Float[np.ndarray, " 4"], NUMBERS]
 Points = Annotated[Float[np.ndarray, "n 2"], NUMBERS]

@@ -233,7 +233,11 @@ def check_mistakes(view: Compared, calibrated: bool = False) -> Iterator[CheckRe
         # Heights of fixes are often of no use, or mirrored in the plane of the anchors; their filter makes them late.
         flat = of == "height" or (of == "frame" and np.abs(x[[0, 1, 2, 4]]).max() < 0.4) or (late and x[4] > 0)
         if not (kind.position and flat) and not (calibrated and of == "offset"):
-            yield CheckResult("warning" if late else "error", kind.name, _sentence(view, best))
+            change, numbers, worst = best.change, [best.change.shown(x) for x in best.numbers], best.groups & large
+            words = listed(dict.fromkeys(change.words.format(*x) if len(x) else change.words for x in numbers))
+            cause = change.cause.format(*numbers[0]) if len(numbers[0]) else change.cause
+            what = f"{_errors_of(view, worst, before, change.each)}, and {_typical(view, best.after[worst])}"
+            yield CheckResult("warning" if late else "error", kind.name, f"{what} with {words}: {cause}")
     few = not named and 0 < unknown.sum() <= max(FEW * len(unknown), 1) < len(unknown)
     one, others = (float(np.nanmedian((before / limit)[part])) if few else 0.0 for part in (unknown, ~large))
     if kind.sensors and one > BROKEN * others:
@@ -277,15 +281,6 @@ def _share(view: Compared) -> float:
     large, bias = (view.kind.sizes(which, len(view.columns)) for which in ("large", "bias"))
     over = np.abs(view.errors()) / (3 * large + bias)
     return float((over <= 1.0).sum() / max(np.isfinite(over).sum(), 1))
-
-
-def _sentence(view: Compared, found: Found) -> str:
-    change, sizes, numbers = found.change, view.sizes(), [found.change.shown(x) for x in found.numbers]
-    large = found.groups & (sizes > view.kind.sizes("large", len(view.columns))).any(axis=1)
-    words = listed(dict.fromkeys(change.words.format(*x) if len(x) else change.words for x in numbers))
-    cause = change.cause.format(*numbers[0]) if len(numbers[0]) else change.cause
-    whose = _errors_of(view, large, sizes, change.each)
-    return f"{whose}, and {_typical(view, found.after[large])} with {words}: {cause}"
 
 
 def _typical(view: Compared, sizes: np.ndarray) -> str:

@@ -1,60 +1,24 @@
-"""Readings of a table as arrays, by stream and beside true positions, and a robust fit."""
+"""Readings of a table beside true positions, and a robust fit."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from trackwright.trackers.recordings.columns import TruePaths, stable_order, within_groups
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors, wrapped
+from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors
 
-# Most rows of a table, share of repeats that is a warning, most and least readings of a sensor compared.
-MOST_ROWS, MANY, MOST_OF_GROUP, LEAST_OF_GROUP = 100_000, 0.2, 500, 12
-
-
-class Readings(NamedTuple):
-    """The values (N, m) of columns, NaN where one is missing, one stream of a tag and a sensor after another.
-
-    Of each reading but the first: whether it `follows` one in its stream, and how it `moved`; infinite where one lacks.
-    """
-
-    columns: tuple[str, ...]
-    values: Float[np.ndarray, "N m"]
-    follows: Bool[np.ndarray, " n"]
-    moved: Float[np.ndarray, "n m"]
-
-
-def readings(recording: RecordingFolder, name: str) -> Readings:
-    """The readings of a table; of more than `MOST_ROWS`, equally many first ones of each stream."""
-    rows = recording.rows(name)
-    _, ids, columns, values, sensors = KINDS[name].measured(recording.rig, rows)
-    stream = rows.of_each(np.arange(len(rows.tags)))
-    for number in sensors.number.T:
-        stream = stream * len(ids) + number
-    order = stable_order(stream)
-    if len(order) > MOST_ROWS:
-        counts = np.bincount(stream)
-        order = order[within_groups(counts) < MOST_ROWS // np.count_nonzero(counts)]
-    order = order[np.isfinite(values[order]).any(axis=1)]
-    x, missing = values[order], np.isnan(values[order])
-    moved = np.where(missing[1:] & missing[:-1], 0.0, wrapped(np.diff(x, axis=0), columns))
-    return Readings(columns, x, np.diff(stream[order]) == 0, np.where(np.isnan(moved), np.inf, moved))
+MOST_OF_GROUP, LEAST_OF_GROUP = 500, 12  # readings of a sensor that are compared
 
 
 def known_median(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
     """The median (m,) of each column without its missing values, NaN without any value."""
     return np.array([np.median(c[~np.isnan(c)]) if not np.isnan(c).all() else np.nan for c in x.T])
-
-
-def repeated_share(read: Readings) -> float:
-    """The share of the readings with a predecessor in their stream that equal it in all columns; NaN without any."""
-    return float(np.mean((read.moved[read.follows] == 0.0).all(axis=1))) if read.follows.any() else float("nan")
 
 
 class Compared(NamedTuple):
@@ -162,6 +126,6 @@ def robust_fit(
     for _ in range(3):
         scale = max(1.4826 * float(np.median(np.abs(np.nan_to_num(flat(x))))), 1e-9)
         # An error that becomes unknown is no gain.
-        known = partial(lambda x, far: np.nan_to_num(flat(x), nan=far), far=3.0 * scale)
+        known = lambda x, far=3.0 * scale: np.nan_to_num(flat(x), nan=far)  # noqa: E731
         x = least_squares(known, x, slopes, loss="cauchy", f_scale=scale, max_nfev=steps).x
     return x, float(np.median(np.abs(np.nan_to_num(flat(x)))))
