@@ -118,11 +118,12 @@ def robust_fit(
     errors: Callable[[np.ndarray], Float[np.ndarray, "N m"]], start: Float[np.ndarray, " k"], steps: int = 15
 ) -> tuple[Float[np.ndarray, " k"], float]:
     """The numbers near `start` with the smallest errors, and their median size; errors that are NaN count nothing."""
-    from scipy.optimize import approx_fprime, least_squares
+    from scipy.optimize import least_squares
 
     flat, x = lambda x: errors(x).ravel(), np.asarray(start, float)
+    near = 1e-6 * np.eye(len(x))
     # Where one of the two errors is unknown, as at the first time of the truth, there is no difference.
-    slopes = lambda x: np.nan_to_num(approx_fprime(x, flat, 1e-6))  # noqa: E731
+    slopes = lambda x: np.nan_to_num(np.stack([flat(x + by) for by in near], axis=-1) - flat(x)[:, None]) / 1e-6  # noqa: E731
     for _ in range(3):
         scale = max(1.4826 * float(np.median(np.abs(np.nan_to_num(flat(x))))), 1e-9)
         # An error that becomes unknown is no gain.
