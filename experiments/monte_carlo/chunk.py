@@ -20,8 +20,7 @@ from trackwright.trackers.core.model.tunable import tunables, with_values
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.evaluation.bounds import posterior_bound
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch
-from trackwright.trackers.recordings.tracks import rounded
+from trackwright.trackers.recordings.tracks import TrackerBatch, rounded
 from trackwright.trackers.recordings.trajectories import Trajectories
 
 BOUNDED = 256

@@ -97,6 +97,11 @@ def wrapped(angles: np.ndarray) -> np.ndarray:
     return turned
 
 
+def main_size(rows: pl.DataFrame) -> str:
+    """The column with the horizontal error, m, or of bearings with the angle to the true direction, rad."""
+    return "size_direction_rad" if is_bearing(rows) else "size_m"
+
+
 def position_sizes(errors: np.ndarray) -> dict[str, np.ndarray]:
     """The sizes (…) of errors (…, 3), m, by kind, the main one first; NaN of rows without one."""
     flat, height = np.hypot(errors[..., 0], errors[..., 1]), errors[..., 2]
