@@ -54,26 +54,16 @@ def few_memory_maps():
 @pytest.fixture(scope="session")
 def recordings() -> Path:
     """The folder of real recordings; a test that asks for it is skipped where there is none."""
-    return _there("recordings", "TRACKWRIGHT_RECORDINGS")
+    folder = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
+    if not folder.is_dir():
+        pytest.skip(f"no real recordings at {folder}; TRACKWRIGHT_RECORDINGS names their folder")
+    return folder
 
 
 @pytest.fixture(scope="session")
 def shipped() -> Path:
     """The folder of the two real recordings that come with the project: labyrinth and trolley."""
     return REAL
-
-
-@pytest.fixture(scope="session")
-def flights() -> Path:
-    """The folder of real flights with range differences, as of `recordings`."""
-    return _there("recordings-tdoa", "TRACKWRIGHT_FLIGHTS")
-
-
-def _there(name: str, variable: str) -> Path:
-    folder = Path(os.environ.get(variable, Path(__file__).parents[2] / "shared" / name))
-    if not folder.is_dir():
-        pytest.skip(f"no real recordings at {folder}; {variable} names their folder")
-    return folder
 
 
 @pytest.fixture(scope="session")

@@ -1,15 +1,10 @@
-"""Gradients of filters against oracles that share no code with them; common particle gradients that must fail."""
+"""Gradients of filters against oracles that share no code with them."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.oracles import quadrature
 from tests.oracles.gradients import CORRIDOR_25, CORRIDOR_100, HALT, gradients, marginal_gradients
 from tests.oracles.particle_worlds import (
-    CORRIDOR,
-    CORRIDOR_START,
     CORRIDOR_TUNABLES,
     HALT_DT,
     HALT_TUNABLES,
@@ -18,41 +13,20 @@ from tests.oracles.particle_worlds import (
     corridor_tracker,
     halt_batch,
     halt_tracker,
-    rectangle,
-    score_form,
 )
-from tests.oracles.pathwise import NAIVE, REPARAMETERISED
 from tests.oracles.quadrature import (
     corridor_gradient,
     corridor_log_likelihood,
     halt_gradient,
     halt_log_likelihood,
-    kalman_fixes,
 )
-from trackwright.trackers.baselines.fixes import fix_tracker
-from trackwright.trackers.baselines.floor import Walls
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
-from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
-from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
-from trackwright.trackers.core.model.algebra import Vector
-from trackwright.trackers.core.model.covariance import Gaussian
-from trackwright.trackers.core.model.motion import ConstantPosition, Placed
+from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.polyline import Polyline
-from trackwright.trackers.core.model.tunable import Real, Scale, replaced
+from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.line.fixes import FIXES
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import PathOutputMap
-from trackwright.trackers.mhk.fusion import chain_predicted, chain_updated
-from trackwright.trackers.parts import fixes as parts
-
-PARAMETERS = {
-    "motion.sigma_a": 1.0,
-    "sensors.fixes.sigma_horizontal": 0.3,
-    "start.sigma_position": 1.0,
-    "start.sigma_velocity": 1.0,
-    quadrature.LATENCY: 0.1,
-}
-"""Tunables of the Kalman filter: m/s² per √Hz, m, m, m/s, s."""
 
 KEYS, PARTICLES = 64, 400
 
@@ -73,36 +47,6 @@ def test_the_halts_quadrature_has_converged():
         assert halt_gradient(points) == pytest.approx((0.235494, 6.516646, -0.180706), abs=1e-5)
 
 
-def test_the_kalman_filter_on_late_fixes_with_gaps_has_the_likelihood_and_gradient_of_the_joint_density():
-    times, values, seen = kalman_fixes()
-    missing = np.zeros((len(times), 1))
-    readings = Readings(np.hstack([values, missing]), np.hstack([seen, missing > 0]), np.zeros((len(times), 3)))
-    batch = stack([Recording(times, {parts.FIXES: readings}, {"height": np.zeros(len(times))})])
-    latency = quadrature.LATENCY
-    new = {n: Real(x, "s", typical=1.0) if n == latency else Scale(x) for n, x in PARAMETERS.items()}
-    found = gradients(replaced(fix_tracker(dof=None, planar=True), new), batch, list(PARAMETERS))
-    exact = [quadrature.kalman_log_likelihood(PARAMETERS), *quadrature.kalman_gradient(PARAMETERS)]
-    np.testing.assert_allclose([found.values[0], *found.gradient[:, 0]], exact, rtol=1e-4, atol=1e-4)
-
-
-def test_the_forward_algorithm_has_the_gradient_of_the_sum_over_all_state_sequences():
-    shares, levels = jnp.asarray(quadrature.CHAIN_PROBABILITIES), jnp.asarray(quadrature.CHAIN_LEVELS)
-    measured, intervals = jnp.asarray(quadrature.chain_measurements()), jnp.asarray(quadrature.CHAIN_INTERVALS)
-
-    def log_likelihood(raw):
-        rate, sigma = jnp.exp(raw[0]), jnp.exp(raw[1])
-        weights, value = shares, 0.0
-        for k in range(len(measured)):
-            weights = chain_predicted(weights, shares, jnp.exp(-rate * intervals[k - 1])) if k else weights
-            weights, log = chain_updated(weights, -0.5 * ((measured[k] - levels) / sigma) ** 2 - jnp.log(sigma))
-            value = value + log
-        return value
-
-    raw = jnp.log(jnp.asarray([quadrature.CHAIN_RATE, quadrature.CHAIN_SIGMA]))
-    slopes = jax.jit(jax.jacfwd(log_likelihood))(raw)
-    np.testing.assert_allclose(slopes, quadrature.chain_gradient(), rtol=1e-4, atol=1e-4)
-
-
 @pytest.mark.slow
 def test_the_grid_filter_at_a_halt_has_the_likelihood_and_gradient_of_quadrature():
     # A tag crosses whole cells, so that travel is exact; the error is quadratic in the cell size.
@@ -114,10 +58,6 @@ def test_the_grid_filter_at_a_halt_has_the_likelihood_and_gradient_of_quadrature
     np.testing.assert_allclose([found.values[0], *found.gradient[:, 0]], exact, rtol=5e-3, atol=5e-3)
 
 
-def _score(estimator):
-    return gradients(corridor_tracker(PARTICLES, estimator), corridor_batch(25, KEYS), CORRIDOR_TUNABLES).gradient[0]
-
-
 def _deviation(scores):
     """Deviation of the mean from the oracle, in standard errors."""
     return abs(scores.mean() - corridor_gradient(corridor_fixes(25))[0]) / scores.std() * np.sqrt(len(scores))
@@ -125,50 +65,12 @@ def _deviation(scores):
 
 @pytest.fixture(scope="module")
 def scores():
-    return _score(score_form)
+    return gradients(corridor_tracker(PARTICLES), corridor_batch(25, KEYS), CORRIDOR_TUNABLES).gradient[0]
 
 
 def test_the_score_form_is_unbiased_by_walls(scores):
     # The bias of 400 particles is a tenth of a standard error of 64 keys.
     assert _deviation(scores) < 4
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("estimator", [NAIVE, REPARAMETERISED])
-def test_pathwise_estimators_are_biased_by_walls(estimator):
-    assert _deviation(_score(estimator)) > 12
-
-
-KEY = np.array([1, 2], np.uint32)
-
-
-@pytest.mark.parametrize("estimator", [NAIVE, REPARAMETERISED])
-@pytest.mark.parametrize(("alive", "shares"), [(3, 8), (5, 5)])
-def test_pathwise_estimators_resample_and_move_as_the_filter_and_kill_outside_of_walls(estimator, alive, shares):
-    # The effective sample size is the number of equal weights above zero; below four of eight, all are drawn again.
-    log_weights = jnp.where(jnp.arange(8) < alive, -np.log(alive), LOG_ZERO)
-    belief = Particles(Placed(Vector(jnp.linspace(1.0, 5.0, 8), jnp.full(8, 0.75))), log_weights, KEY)
-    walled, motion = ParticleFilter(8, potential=Walls(rectangle(CORRIDOR))), ConstantPosition(0.75, 2)
-    own, found = (p.predict(belief, motion, {}, jnp.asarray(1.0)) for p in (walled, estimator(walled)))
-    np.testing.assert_allclose(found.states.position, own.states.position, rtol=1e-6)
-    low, high = CORRIDOR
-    inside = np.all([(a < x) & (x < b) for a, x, b in zip(low, found.states.position, high, strict=True)], axis=0)
-    assert 0 < np.sum(inside[:alive]) < alive
-    kept = inside if alive == 3 else inside & (np.arange(8) < alive)
-    np.testing.assert_allclose(found.log_weights, np.where(kept, -np.log(shares), LOG_ZERO), rtol=1e-6)
-
-
-@pytest.mark.parametrize("estimator", [NAIVE, REPARAMETERISED])
-def test_initial_particles_of_pathwise_estimators_move_with_the_spread_of_the_prior(estimator):
-    def drawn(sigma, estimator):
-        prior = Gaussian(Placed(Vector(jnp.asarray(2.0))), (sigma**2,))
-        return estimator(ParticleFilter(5)).init(prior, KEY).states.position[0]
-
-    sigma = jnp.asarray(0.3)
-    positions = drawn(sigma, estimator)
-    np.testing.assert_array_equal(positions, drawn(sigma, score_form))
-    # x = 2 + sigma·w for a fixed w; the score form leaves the particles where they are.
-    np.testing.assert_allclose(jax.jacfwd(drawn)(sigma, estimator), (positions - 2.0) / sigma, rtol=1e-4)
 
 
 def _recording(rows, key):
@@ -229,7 +131,7 @@ def _line(x, y, errors):
 @pytest.mark.slow
 @pytest.mark.parametrize("world", [CORRIDOR_25, CORRIDOR_100, HALT], ids=lambda world: world.name)
 def test_400_keys_have_the_exact_likelihood_and_score_on_average(world):
-    found = world.run(score_form, 2000, 400)
+    found = world.run(2000, 400)
     ratios = np.exp(found.values - world.value())
     assert abs(ratios.mean() - 1) < 4 * _standard_error(ratios)
     off = np.abs(found.gradient.mean(axis=1) - world.slopes()) / _standard_error(found.gradient)
@@ -237,19 +139,11 @@ def test_400_keys_have_the_exact_likelihood_and_score_on_average(world):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("estimator", "wrong"), [(NAIVE, True), (REPARAMETERISED, False)])
-def test_at_a_halt_the_naive_gradient_is_wrong_and_the_reparameterised_one_is_not(estimator, wrong):
-    # A clamp at zero speed is continuous.
-    found = HALT.run(estimator, 2000, 400).gradient[0]
-    assert (abs(found.mean() - HALT.slopes()[0]) > 4 * _standard_error(found)) == wrong
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("world", [CORRIDOR_25, HALT], ids=lambda world: world.name)
 def test_bias_and_spread_of_the_score_decay_with_the_number_of_particles(world):
     """L̂·s is unbiased for any N, so that the bias of s is −cov(L̂/L, s), far more precise than the mean of s."""
     sizes, value = (125, 500, 2000), world.value()
-    runs = [world.run(score_form, n, 400 * 2000 // n) for n in sizes]
+    runs = [world.run(n, 400 * 2000 // n) for n in sizes]
     spreads = [r.gradient[0].std(ddof=1) for r in runs]
     assert np.polyfit(np.log(sizes), np.log(spreads), 1)[0] == pytest.approx(-0.5, abs=0.08)
     products = [-(np.exp(r.values - value) - 1.0) * (r.gradient[1] - r.gradient[1].mean()) for r in runs]
@@ -260,17 +154,3 @@ def test_bias_and_spread_of_the_score_decay_with_the_number_of_particles(world):
         means, errors = np.array([(r.gradient[k].mean() - exact, _standard_error(r.gradient[k])) for r in runs]).T
         (limit, _), (error, _) = _line(1.0 / np.array(sizes), means, errors)
         assert abs(limit) < 4 * error
-
-
-def test_the_fixes_of_the_kalman_filter_have_the_noise_of_its_model():
-    _, fixes, _ = kalman_fixes(rows=2000)
-    # Third differences of the walk are below 0.1 m; white noise is amplified by 1 + 9 + 9 + 1.
-    assert np.diff(fixes, 3, axis=0).std() / np.sqrt(20) == pytest.approx(
-        PARAMETERS["sensors.fixes.sigma_horizontal"], rel=0.05
-    )
-
-
-def test_the_prior_of_the_corridor_is_standard_normal():
-    belief = CORRIDOR_START.belief(None, corridor_batch(2, 1))
-    np.testing.assert_array_equal(np.ravel(belief.mean.position), 0.0)
-    assert [float(x[0, 0]) for x in belief.cov] == [1.0, 0.0, 1.0]

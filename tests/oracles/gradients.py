@@ -13,7 +13,6 @@ from tests.oracles.marginal_score import marginal_scores
 from tests.oracles.particle_worlds import (
     CORRIDOR_TUNABLES,
     HALT_TUNABLES,
-    Estimator,
     corridor_batch,
     corridor_fixes,
     corridor_tracker,
@@ -56,13 +55,13 @@ def marginal_gradients(tracker: Tracker, batch: Batch, patterns: str | Sequence[
 
 
 class World(NamedTuple):
-    """A world of particles: its tunables, log L and gradient by the oracle, and `run(estimator, particles, keys)`."""
+    """A world of particles: its tunables, log L and gradient by the oracle, and `run(particles, keys)`."""
 
     name: str
     tunables: Sequence[str]
     value: Callable[[], float]
     slopes: Callable[[], tuple[float, ...]]
-    run: Callable[[Estimator, int, int], Gradients]
+    run: Callable[[int, int], Gradients]
 
 
 def corridor(rows: int) -> World:
@@ -73,7 +72,7 @@ def corridor(rows: int) -> World:
         CORRIDOR_TUNABLES,
         partial(quadrature.corridor_log_likelihood, fixes),
         partial(quadrature.corridor_gradient, fixes),
-        lambda e, n, keys: gradients(corridor_tracker(n, e), corridor_batch(rows, keys), CORRIDOR_TUNABLES),
+        lambda n, keys: gradients(corridor_tracker(n), corridor_batch(rows, keys), CORRIDOR_TUNABLES),
     )
 
 
@@ -83,5 +82,5 @@ HALT = World(
     HALT_TUNABLES,
     quadrature.halt_log_likelihood,
     quadrature.halt_gradient,
-    lambda e, n, keys: gradients(halt_tracker(e(ParticleFilter(n))), halt_batch(keys), HALT_TUNABLES),
+    lambda n, keys: gradients(halt_tracker(ParticleFilter(n)), halt_batch(keys), HALT_TUNABLES),
 )

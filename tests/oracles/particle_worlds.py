@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
@@ -75,14 +74,20 @@ def uniform(belief: Particles) -> Particles:
     return belief._replace(states=Placed(Vector.of(positions)))
 
 
-class AbstractModified(AbstractParticleFilter):
-    """The particle filter `particles` with another `init` and `predict`."""
+class UniformParticles(AbstractParticleFilter):
+    """The particle filter `particles` with initial particles uniform over the start rectangle."""
 
-    particles: eqx.AbstractVar[AbstractParticleFilter]
+    particles: ParticleFilter
 
     @property
     def bootstrap(self) -> ParticleFilter:
-        return self.particles.bootstrap
+        return self.particles
+
+    def init(self, belief: Gaussian, key: Any) -> Particles:
+        return uniform(self.particles.init(belief, key))
+
+    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Particles:
+        return self.particles.predict(belief, motion, inputs, dt)
 
     def update(
         self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
@@ -93,30 +98,9 @@ class AbstractModified(AbstractParticleFilter):
         return self.particles.moments(belief)
 
 
-class UniformParticles(AbstractModified):
-    """The particle filter `particles` with initial particles uniform over the start rectangle."""
-
-    particles: AbstractParticleFilter
-
-    def init(self, belief: Gaussian, key: Any) -> Particles:
-        return uniform(self.particles.init(belief, key))
-
-    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Particles:
-        return self.particles.predict(belief, motion, inputs, dt)
-
-
-Estimator = Callable[[ParticleFilter], AbstractParticleFilter]
-"""A particle filter with another derivative, as `Naive`; `score_form` for its own."""
-
-
-def score_form(particles: ParticleFilter) -> ParticleFilter:
-    """The particle filter itself, whose derivative is in score form."""
-    return particles
-
-
-def corridor_tracker(n_particles: int, estimator: Estimator = score_form) -> Tracker:
+def corridor_tracker(n_particles: int) -> Tracker:
     """The tracker whose model is the corridor's world; its particles die at the walls."""
-    particles = UniformParticles(estimator(ParticleFilter(n_particles, potential=Walls(rectangle(CORRIDOR)))))
+    particles = UniformParticles(ParticleFilter(n_particles, potential=Walls(rectangle(CORRIDOR))))
     sensors = {FIXES: FloorFixes(SIGMA_FIX, None)}
     return Tracker(ConstantPosition(SIGMA_MOVE, 2), sensors, CORRIDOR_START, particles, NEVER_LOST)
 
