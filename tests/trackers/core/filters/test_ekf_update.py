@@ -1,32 +1,23 @@
-"""One update: compressed and sequential against the joint update of the textbook, and what an empty reading does."""
+"""One update: compressed and sequential against the joint update of the textbook."""
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from tests.oracles import normal_log_density
-from trackwright.sim.stations import work_station
-from trackwright.trackers.aoa.beam import Beam, BeamMotion
-from trackwright.trackers.aoa.fusion import BearingSensor, bearing_inputs
-from trackwright.trackers.aoa.phases import PlanePhases, SphericalPhases
 from trackwright.trackers.core.filters.ekf import ExtendedKalman, compressed, sequential_updates
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.covariance import Gaussian, matrix
 from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
-from trackwright.trackers.core.model.tunable import Scale
 
 # One by one, each of their operations would be compiled for itself.
 compressed, sequential_updates = jax.jit(compressed), jax.jit(sequential_updates, static_argnums=3)
 
 STATES = 4
-# Four antennas for two angles: enough to compress.
-STATION = work_station(work_station().stations["1"].antennas[:4]).stations["1"]
-GEOMETRY = {"origin": bearing_inputs(STATION)[:3], "axes": bearing_inputs(STATION)[3:]}
 
 
 def _rows(H, columns):
@@ -102,50 +93,6 @@ def test_a_direction_that_is_hardly_observed_keeps_the_sum_of_squares_in_single_
     equivalent, factor, rest = compressed(list(residual), rows)
     assert all(x > 0 for x in factor[2].values())
     assert sum(x**2 for x in equivalent) + rest == pytest.approx(float(residual @ residual), rel=3e-6)
-
-
-BELIEFS = {
-    "beam": (
-        BeamMotion(Scale(1.0)), PlanePhases(STATION, 0.3), Beam(0.1, 0.2, 0.3, 0.4), None,
-    ),
-    "pairwise": (
-        BeamMotion(Scale(1.0)), PlanePhases(STATION, 0.3, paper_form=True), Beam(0.1, 0.2, 0.3, 0.4), None,
-    ),
-    "spherical": (
-        ConstantVelocity(1.0, 3), SphericalPhases(STATION, 0.3),
-        Kinematic(Vector(0.1, 0.2, 0.3), Vector(1.0, -1.0, 0.5)), None,
-    ),
-    "bearing": (
-        ConstantVelocity(1.0, 3), BearingSensor(0.1, 0.2, 4.0),
-        Kinematic(Vector(0.1, 0.2, 0.3), Vector(1.0, -1.0, 0.5)), GEOMETRY,
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", BELIEFS)
-def test_an_empty_reading_moves_nothing_and_has_zero_gradients_without_nan(name):
-    motion, sensor, state, inputs = BELIEFS[name]
-    state = jax.tree_util.tree_map(jnp.asarray, state)
-    n = len(jax.tree_util.tree_leaves(state))
-    m = len(sensor.channels)
-    cov = tuple(jnp.asarray(np.diag(np.arange(1.0, n + 1))[np.triu_indices(n)]))
-    # Far from any prediction: what a mask hides must not come back through a derivative.
-    reading = Reading(jnp.full(m, 40.0), jnp.zeros(m, bool), ())
-
-    def update(sensor, belief):
-        return ExtendedKalman().update(belief, motion, sensor, reading, inputs)
-
-    belief = Gaussian(state, cov)
-    after, innovation = update(sensor, belief)
-    np.testing.assert_array_equal(*map(jax.tree_util.tree_leaves, (after, belief)))
-    np.testing.assert_array_equal(jnp.stack(jax.tree_util.tree_leaves(innovation)), 0.0)
-
-    def log_likelihood(both):
-        return update(*both)[1].log_likelihood
-
-    # Not compiled: reverse mode through the sparse algebra takes XLA far longer than to run it once.
-    gradient = eqx.filter_grad(log_likelihood)((sensor, belief))
-    assert all(np.all(np.asarray(g) == 0) for g in jax.tree_util.tree_leaves(gradient))
 
 
 def test_students_t_with_many_degrees_of_freedom_is_the_normal_update():

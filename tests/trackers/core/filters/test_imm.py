@@ -1,18 +1,14 @@
-"""Interacting models: one model is the plain filter, several are the textbook's K² mixing, no switching is enumeration."""
+"""Interacting models: several are the textbook's K² mixing."""
 
 import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
 from tests.oracles import normal_log_density, van_loan
-from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.filters.imm import InteractingModels, SwitchingMotion
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.tuning.objectives import NegativeLogLikelihood
-from trackwright.tuning.parameters import flatten, select_parameters
-from trackwright.tuning.problem import Problem
 
 SIGMAS, RATE, ODDS = (0.1, 1.0, 5.0), 0.8, (2.0, 1.0, 1.0)
 H, R = np.array([[1.0, 0.0], [0.3, 1.0]]), np.array([0.2, 0.4])
@@ -30,11 +26,11 @@ def _rows(seed=0, rows=12):
     return times, rng.normal(size=(rows, 2)), rng.random((rows, 2)) > 0.3
 
 
-def _run(motion, modes):
+def _run(motion, modes, copies=1):
     times, values, seen = _rows()
     sensors = {"z": LinearSensor(H, R, 2)}
     tracker = Tracker(motion, sensors, KnownStart(_state), modes, NEVER_LOST)
-    return tracker.run(recording(times, {"z": (values, seen)}, MEAN, COV))
+    return tracker.run([recording(times, {"z": (values, seen)}, MEAN, COV)] * copies)[0]
 
 
 def _transition(sigma, dt):
@@ -74,49 +70,15 @@ def _textbook(sigmas, rate, mode_prior):
     return tuple(np.array(x) for x in zip(*out, strict=True))
 
 
-def test_one_model_is_the_plain_filter_to_rounding():
-    alone = _run(SwitchingMotion((ConstantVelocity(0.7, 1),)), InteractingModels(RATE, [1.0]))
-    plain = _run(ConstantVelocity(0.7, 1), Tracker.__dataclass_fields__["filter"].default)
-    np.testing.assert_allclose(flat(alone.mean), flat(plain.mean), rtol=1e-13, atol=1e-14)
-    np.testing.assert_allclose(alone.cov_upper, plain.cov_upper, rtol=1e-13, atol=1e-14)
-    np.testing.assert_allclose(alone.log_likelihood, plain.log_likelihood, rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(alone.nis, plain.nis, rtol=1e-12, atol=1e-13)
-
-
-@pytest.fixture(scope="module")
-def three():
-    return _run(SwitchingMotion(tuple(ConstantVelocity(s, 1) for s in SIGMAS)), InteractingModels(RATE, ODDS))
-
-
-def test_three_models_are_the_textbooks_with_every_pair_mixed(three):
+# Few trajectories have covariances as matrices, many as scalars.
+@pytest.mark.parametrize("copies", [1, 16])
+def test_three_models_are_the_textbooks_with_every_pair_mixed(copies):
+    motion = SwitchingMotion(tuple(ConstantVelocity(s, 1) for s in SIGMAS))
+    three = _run(motion, InteractingModels(RATE, ODDS), copies)
     means, covs, lls = _textbook(SIGMAS, RATE, ODDS)
     np.testing.assert_allclose(flat(three.mean)[1:], means, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(three.covariance[1:], covs, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(three.log_likelihood[1:], lls, rtol=1e-10, atol=1e-12)
-
-
-def test_three_equal_models_are_one(three):
-    same = _run(SwitchingMotion(tuple(ConstantVelocity(0.7, 1) for _ in SIGMAS)), InteractingModels(RATE, ODDS))
-    plain = _run(ConstantVelocity(0.7, 1), Tracker.__dataclass_fields__["filter"].default)
-    np.testing.assert_allclose(flat(same.mean), flat(plain.mean), rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(same.cov_upper, plain.cov_upper, rtol=1e-11, atol=1e-12)
-    assert not np.allclose(flat(three.mean), flat(plain.mean), atol=1e-3)
-
-
-@pytest.mark.slow
-def test_where_rows_share_their_time_and_nothing_is_drawn_anew_the_gradient_is_the_central_difference():
-    times, values, seen = _rows()
-    assert np.any(np.diff(times) == 0)
-    motion = SwitchingMotion(tuple(ConstantVelocity(s, 1) for s in SIGMAS))
-    sensors = {"z": LinearSensor(H, R, 2)}
-    tracker = Tracker(motion, sensors, KnownStart(_state), InteractingModels(RATE, ODDS), NEVER_LOST)
-    parameters = select_parameters(tracker, ("filter.switching_rate", "motion.*"))
-    batch = stack([recording(times, {"z": (values, seen)}, MEAN, COV)])
-    problem, vector, h = Problem(tracker, [batch], NegativeLogLikelihood(), parameters), flatten(parameters), 1e-5
-    shifts = h * np.eye(len(vector))
-    differences = (problem.values(vector + shifts) - problem.values(vector - shifts)) / (2 * h)
-    # In double precision a central difference of this step is good to some 1e-9.
-    np.testing.assert_allclose(problem.evaluate(vector).gradients[0], differences, rtol=1e-6, atol=1e-8)
 
 
 def test_a_filter_without_modes_sees_the_first_motion():

@@ -87,11 +87,3 @@ def test_the_nis_is_the_textbooks_and_counts_the_channels_seen(case):
         _, _, _, nis, nis_dof = case.trajectory(trajectory)
         np.testing.assert_allclose(nis, case.oracle(trajectory, kalman)[3], rtol=1e-9, atol=1e-9)
         np.testing.assert_array_equal(nis_dof, case.trajectories[trajectory][2][1:].sum(axis=1))
-
-
-def test_the_first_row_is_the_start_itself(case):
-    for trajectory in range(LANES):
-        e = case.estimates[trajectory]
-        np.testing.assert_array_equal(flat(e.mean)[0], case.mean)
-        np.testing.assert_array_equal(e.covariance[0], case.cov)
-        assert e.log_likelihood[0] == 0

@@ -3,8 +3,6 @@
 import dataclasses
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import AbstractMotion, ConstantVelocity, Kinematic
-from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
@@ -209,17 +206,6 @@ def test_one_component_alone_has_the_variance_of_errors_with_a_correlation_of_on
     np.testing.assert_allclose(reported[1:-1], expected, rtol=1e-6)
 
 
-def _equations(jaxpr):
-    """The equations of a program and of those within it."""
-    equations = []
-    for equation in jaxpr.eqns:
-        equations.append(equation)
-        for part in jax.tree_util.tree_leaves(list(equation.params.values())):
-            if hasattr(part, "jaxpr") or hasattr(part, "eqns"):
-                equations += _equations(getattr(part, "jaxpr", part))
-    return equations
-
-
 @pytest.mark.parametrize("copies", [FEW, MANY])
 def test_rows_at_one_time_have_one_estimate_wherever_they_are(world, copies):
     """Trajectories side by side with rows at other times: each row at the time of the next one has its estimate."""
@@ -274,21 +260,3 @@ def test_single_precision_smooths_as_double_precision_does():
     # Rounding of 200 rows there and back, in units of what is known: a hundredth changes no decision.
     assert np.max(np.abs(flat(single.mean) - flat(double.mean)) / sigma) < 0.01
     np.testing.assert_allclose(np.sqrt(np.einsum("...ii->...i", single.covariance)), sigma, rtol=0.01)
-
-
-@pytest.mark.slow
-def test_the_gradient_of_a_smoothed_figure_is_the_central_difference(world):
-    def figure(sigma):
-        tracker = dataclasses.replace(world.tracker, motion=ConstantVelocity(sigma, 2), lasting_errors=True)
-        both = Smoothed(tracker).accumulate(
-            world.batch, lambda output, truth: (output.mean.position[0] ** 2, output.cov[0])
-        )
-        return jnp.sum(jnp.stack(both))
-
-    def at(raw):
-        return figure(eqx.tree_at(lambda s: s.raw, Scale(SIGMA_A, "m/s^2/sqrt(Hz)"), raw))
-
-    raw = jnp.log(SIGMA_A)
-    slope = jax.jvp(at, (raw,), (jnp.ones_like(raw),))[1]
-    step = 1e-5
-    np.testing.assert_allclose(slope, (at(raw + step) - at(raw - step)) / (2 * step), rtol=1e-6)

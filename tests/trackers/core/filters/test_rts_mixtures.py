@@ -7,7 +7,6 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
 from tests.oracles import joint_conditioning, van_loan
-from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.filters.imm import InteractingModels, SwitchingMotion
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
@@ -101,11 +100,3 @@ def test_one_model_under_two_names_is_smoothed_as_the_plain_filter(motion):
     mixture = _smoothed(Tracker(motion, sensor, start, InteractingModels(0.8, [1.0, 2.0]), NEVER_LOST))
     np.testing.assert_allclose(flat(mixture.mean), flat(expected.mean), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(mixture.covariance, expected.covariance, rtol=1e-9, atol=1e-9)
-
-
-def test_smoothed_trajectories_of_a_mixture_do_not_know_of_each_other():
-    times, values, seen = _rows()
-    trajectories = [recording(times[:n], {"z": (values[:n], seen[:n])}, MEAN, COV) for n in (ROWS, ROWS - 3)]
-    together = Smoothed(_tracker(SIGMAS, 0.8)).run(stack(trajectories))
-    other = Smoothed(_tracker(SIGMAS, 0.8)).run(stack([trajectories[1]] * 2, rows=ROWS))
-    np.testing.assert_array_equal(flat(together[1].mean), flat(other[0].mean))

@@ -10,7 +10,7 @@ from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
-from trackwright.trackers.core.filters.particle.resampling import effective_sample_size, running_sum, systematic
+from trackwright.trackers.core.filters.particle.resampling import effective_sample_size, systematic
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.motion import ConstantPosition, Placed
@@ -21,7 +21,7 @@ from trackwright.trackers.core.run.tracker import Tracker
 KEYS, ROWS = 200, 12
 
 # One by one, each of their operations would be compiled for itself.
-running_sum, systematic = jax.jit(running_sum), jax.jit(systematic)
+systematic = jax.jit(systematic)
 
 
 @eqx.filter_jit
