@@ -12,7 +12,6 @@ from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.data.seconds import moment, seconds, span, time_label, zero_of
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.from_arrays import fix_recording, range_recording
-from trackwright.trackers.recordings.checks.all_checks import check
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import first_time
 
@@ -74,13 +73,3 @@ def test_times_that_count_from_1970_are_never_rounded_to_five_digits():
     assert time_label(1777896800.26) == "time (s) since 2026-05-04 12:13:20.26 UTC"
     recording = fix_recording(unix + np.arange(3.0), np.zeros((3, 3)))
     assert "e+" not in repr(recording)
-
-
-def test_checks_name_times_that_count_from_1970_by_date():
-    times = 1777896800.0 + 0.1 * np.arange(100)
-    ranges = pl.DataFrame({"t_s": times, "tag": "T", "anchor": "A", "range_m": 2.0})
-    truth = pl.DataFrame({"t_s": times + 7200.0, "tag": "T", "x_m": 1.0, "y_m": 0.0, "z_m": 0.0})
-    folder = RecordingFolder("hall", None, Rig("hall", {"A": np.zeros(3)}), {"ranges": ranges, "truth": truth})
-    said = " ".join(result.message for result in check(folder))
-    assert "2026-05-04 14:13:20 UTC to 2026-05-04 14:13:29.9 UTC, and they 2026-05-04 12:13:20 UTC" in said
-    assert "e+09" not in said

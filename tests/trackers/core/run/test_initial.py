@@ -3,7 +3,6 @@
 import dataclasses
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -135,35 +134,6 @@ def test_a_run_inside_a_transformation_names_the_pure_function():
 
     with pytest.raises(TypeError, match=r"traced values.*trackwright.filter_batch"):
         jax.grad(error)(0.5)
-
-
-@pytest.mark.slow
-def test_the_gradient_of_an_error_by_an_anchors_position_is_that_of_finite_differences():
-    anchors = np.array([[0.0, 0.0, 2.5], [8.0, 0.0, 1.0], [8.0, 6.0, 2.5], [0.0, 6.0, 1.0]])
-    times = np.arange(0.0, 3.0, 0.1)
-    path = np.stack([4 + np.cos(times), 3 + np.sin(times), 1.0 + 0 * times], axis=1)
-    ranges = np.linalg.norm(path[:, None] - anchors, axis=-1) + 0.05 * np.random.default_rng(1).normal(size=(30, 4))
-    batch = tw.stack([tw.range_recording(times, ranges, anchors, truth=path)])
-    tracker = tw.range_tracker(4)
-    numbers = batch.inputs["anchor"][:, 0].astype(int)
-
-    @jax.jit
-    def rmse(anchors):
-        moved = batch._replace(inputs=batch.inputs | {"anchors": jnp.moveaxis(anchors[numbers], -1, 1)})
-        errors = [
-            m - t
-            for m, t in zip(
-                tw.filter_batch(tracker, moved).mean.position, batch.truth["position"][0].swapaxes(0, 1), strict=True
-            )
-        ]
-        return jnp.sqrt(jnp.mean(sum(e[20:] ** 2 for e in errors)))
-
-    slope = jax.grad(rmse)(jnp.asarray(anchors))
-    assert slope.shape == (4, 3)
-    for index in ((0, 0), (2, 1), (3, 2)):
-        by = np.zeros((4, 3))
-        by[index] = 1e-5
-        assert slope[index] == pytest.approx(float(rmse(anchors + by) - rmse(anchors - by)) / 2e-5, rel=1e-3, abs=1e-6)
 
 
 def test_a_numerical_failure_is_shown_in_its_row_and_the_next_row_starts_a_track():

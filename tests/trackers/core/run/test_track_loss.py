@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 import trackwright as tw
-from tests.kidnapped import detection
 from trackwright.trackers.core.model.rig import MARGIN, room_rows
 from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.core.run.track_loss import BLUR, PRICE, READINGS, ROOM, SIGMAS, WILD
@@ -105,13 +104,3 @@ def test_a_track_is_lost_where_the_evidence_for_another_place_passes_the_limit_a
     np.testing.assert_allclose([p[row] for p in kept.mean.position], nearby[row, :2], rtol=1e-6)
     error = np.hypot(*(np.asarray(p) - q for p, q in zip(kept.mean.position, path.T, strict=False)))
     assert error[(recording.times > AWAY_S + 2) & (recording.times < BACK_S)].max() < 0.5
-
-
-@pytest.mark.slow
-def test_kidnapped_tags_are_found_and_no_other_track_is_lost():
-    with_test, without = detection("ranges", 24), detection("ranges", 24, 1e9)
-    assert with_test.false_alarms == without.false_alarms == without.detected == 0
-    assert with_test.detected > 0.8
-    assert with_test.errors[0] < 0.8 * without.errors[0]
-    assert with_test.errors[1] < 0.3
-    assert detection("bearings", 24).false_alarms == 0

@@ -2,46 +2,25 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import trackwright as tw
-from tests.known_start import NEVER_LOST, KnownStart, recording
+from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, recording
 from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.model.algebra import Vector
-from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic, Noise
-from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
-from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.tracker import Tracker, filter_batch
-
-
-class Ruler(AbstractSensor):
-    """A linear sensor: the position, or the velocity."""
-
-    sigma: Noise
-    field: str = eqx.field(static=True)
-
-    @property
-    def channels(self):
-        return (Channel(self.field, "m"),)
-
-    def measure(self, view, inputs):
-        return list(getattr(view, self.field))
-
-    def residual(self, reading, predicted):
-        return independent([reading.values[0] - predicted[0]], [self.sigma.value], reading.seen)
+from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
+from trackwright.trackers.core.run.tracker import Tracker
 
 
 def _kinematic(x):
     return Kinematic(Vector(x[0]), Vector(x[1]))
 
 
-def _flat(sigma=0.7):
-    sensors = {"a": Ruler(Scale(0.3), "position"), "b": Ruler(Scale(0.5), "velocity")}
-    return Tracker(ConstantVelocity(sigma, 1), sensors, KnownStart(_kinematic), track_loss=NEVER_LOST)
+def _flat():
+    sensors = {"a": LinearSensor(np.eye(1, 2), [0.3], 1), "b": LinearSensor(np.eye(1, 2, 1), [0.5], 1)}
+    return Tracker(ConstantVelocity(0.7, 1), sensors, KnownStart(_kinematic), track_loss=NEVER_LOST)
 
 
 LANES, ROWS = 6, 14
@@ -104,20 +83,6 @@ def test_with_the_position_alone_estimates_have_its_covariance_and_nothing_else_
     rest = [dataclasses.replace(e, cov_upper=e.cov_upper[:1]) for e in (part, whole)]
     for a, b in zip(*(jax.tree_util.tree_leaves(_as_tree(e)) for e in rest), strict=True):
         np.testing.assert_array_equal(a, b)
-
-
-def test_an_error_is_a_function_of_a_noise_level_for_vmap_and_grad():
-    sigmas, batch = np.array([0.1, 0.4, 2.0]), stack(_recordings()[:1])
-
-    @jax.jit
-    def error(sigma):
-        (position,) = filter_batch(_flat().with_values({"motion.sigma_a": sigma}), batch).mean.position
-        return jnp.mean((position - 0.5) ** 2)
-
-    together = jax.vmap(error)(sigmas)
-    np.testing.assert_allclose(together, [error(s) for s in sigmas], rtol=1e-9)
-    difference = (error(0.4 + 1e-5) - error(0.4 - 1e-5)) / 2e-5
-    assert float(jax.grad(error)(0.4)) == pytest.approx(float(difference), rel=1e-5)
 
 
 def test_a_trajectory_keeps_its_bits_where_others_alone_are_seen():
