@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation as Turn
 
-from tests.in_process import PLAIN, trackwright
 from tests.known_start import NEVER_LOST
 from tests.oracles import normal_log_density
 from trackwright.experiments.lab.validation.nis import own_world
@@ -19,7 +18,6 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.parts.drifting_biases import BiasDrift
-from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.uwb_imu.difference_rows import SHARED, correlations
 from trackwright.trackers.uwb_imu.differences import TDOA
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker
@@ -166,30 +164,6 @@ def test_another_tag_of_the_body_may_have_the_imu(folder):
     first, second = (t.recording for t in TRACKERS["tdoa-imu"].trajectories(shared, False))
     np.testing.assert_array_equal(second.inputs["accel"][20:], first.inputs["accel"][20:])
     np.testing.assert_array_equal(second.inputs["arm"][0], [0.1, 0.0, 0.0])
-
-
-def test_a_tilting_tag_at_a_known_height_is_named(folder):
-    known = replace(folder, rig=replace(folder.rig, tags={tag: Tag(height=1.2) for tag in folder.rig.tags}))
-    lines = [line for line in build("tdoa-imu", known).batches(known)[0].notices if "tilts" in line]
-    assert len(lines) == 2
-    assert "but tdoa-imu takes a tag with height_m for level: use tdoa, or leave out height_m" in lines[0]
-
-
-@pytest.fixture
-def room(tmp_path):
-    room = tmp_path / "room"
-    options = ("--imu", "--n", 1, "--seed", 4, "--rows", 60, "--bias", 0, "--drift", 0, "--hidden", 0)
-    assert trackwright("simulate", "tdoa", *options, "--out", room).code == 0
-    assert set(read_recording(room).tables) == {"tdoa", "imu", "truth"}
-    return room
-
-
-@pytest.mark.slow
-def test_a_recording_is_smoothed_from_the_command_line(room, tmp_path):
-    said = trackwright("track", room, "--tracker", "tdoa-imu", "--smooth", *PLAIN, "--out", tmp_path / "tracks")
-    assert said.code == 0, said
-    # Seven differences of 10 cm a row.
-    assert trackwright("evaluate", tmp_path / "tracks", "--fail-if", "rmse_m > 0.1").code == 0
 
 
 @pytest.mark.slow

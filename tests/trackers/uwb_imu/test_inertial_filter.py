@@ -106,14 +106,3 @@ def test_the_nis_is_inside_its_95_percent_interval(estimates):
     updated = estimates.nis_dof[1:] > 0
     metric = consistency(estimates.nis[1:][updated], estimates.nis_dof[1:][updated].astype(float))
     assert metric.low <= metric.mean <= metric.high
-
-
-def test_rows_after_the_end_change_no_bit_of_a_state_with_a_quaternion(estimates):
-    ended = jax.tree_util.tree_map(lambda x: x[0], (estimates.mean, np.moveaxis(estimates.cov_upper, 0, -1)))
-    for leaf in jax.tree_util.tree_leaves(ended):
-        assert np.all(np.asarray(leaf)[ENDS:] == np.asarray(leaf)[ENDS - 1])
-
-
-def test_the_vertical_accelerometer_bias_is_found(estimates):
-    # It stands beside gravity: of 0.2 m/s² it leaves what the vertical speed hides in four seconds.
-    assert estimates.sigmas["accel_bias.2"][1:, -1].max() < 0.7 * SIGMAS[11]

@@ -67,16 +67,6 @@ def test_the_points_are_those_of_the_papers_corrected_formula(seed):
     assert apart < 1e-6
 
 
-def test_as_printed_13_puts_the_points_elsewhere():
-    first, second, position = np.array([0.0, 0.0]), np.array([3.0, 4.0]), np.array([2.0, 1.0])
-    radius, other = np.linalg.norm(position - first), np.linalg.norm(position - second)
-    b = (25.0 - (other**2 + radius**2)) / 8.0
-    corrected = (25.0 - other**2 + radius**2) / 8.0
-    # On the radical line x·Δx + y·Δy = b·Δy lies the position, with the corrected b alone.
-    assert abs(position @ second / 4.0 - corrected) < ROUNDING
-    assert abs(position @ second / 4.0 - b) > 1.0
-
-
 @pytest.mark.parametrize(
     ("second", "radius", "other", "middle"),
     [([10, 0], 3, 5, [4, 0]), ([1, 0], 5, 2, [4, 0]), ([1, 0], 2, 5, [-3, 0]), ([0, 4], 1, 1, [0, 2])],
