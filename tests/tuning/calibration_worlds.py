@@ -113,27 +113,6 @@ def recording(rng, name, calibration, seconds=60.0, outliers=0.0, field=None):
     return RecordingFolder(name, None, RIG, tables)
 
 
-def differences(rng, name, biases, seconds=60.0, outliers=0.0, every=0.1):
-    """A walk with differences of times of arrival, which have a bias, a lasting error and now and then `outliers` m."""
-    times, positions = walk(rng, seconds, every=every)
-    arrivals = {
-        anchor: np.linalg.norm(positions - place, axis=1)
-        + bias
-        + lasting(rng, times, positions, 0.07)
-        + 0.03 * rng.standard_t(4.0, size=len(times))
-        + outliers * (rng.random(len(times)) < 0.05)
-        for (anchor, place), bias in zip(ANCHORS.items(), biases, strict=True)
-    }
-    both = [("A", "B"), ("C", "B"), ("C", "D"), ("D", "A"), ("A", "C")]
-    rows = [
-        pl.DataFrame(
-            {"t_s": times, "tag": "1", "anchor": a, "anchor_2": b, "range_difference_m": arrivals[a] - arrivals[b]}
-        )
-        for a, b in both
-    ]
-    truth = pl.DataFrame({"t_s": times, "tag": "1"} | dict(zip(("x_m", "y_m", "z_m"), positions.T, strict=True)))
-    rig = Rig(name, anchors=ANCHORS, tags={"1": Tag(height=HEIGHT)})
-    return RecordingFolder(name, None, rig, {"tdoa": pl.concat(rows).sort("t_s", maintain_order=True), "truth": truth})
 
 
 def world(seed, recordings=3, by_place=False, **options):

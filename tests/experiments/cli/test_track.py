@@ -74,14 +74,6 @@ def test_a_run_folder_has_tables_metrics_figures_a_page_and_a_manifest(vehicles)
     assert len(kept["tracks"]) == 6
 
 
-def test_fail_if_decides_the_exit_code(vehicles):
-    passed = trackwright("evaluate", vehicles[2], "--fail-if", "p95_m>0.5 or lost_fraction>0")
-    assert (passed.code, passed.err) == (0, "")
-    failed = trackwright("evaluate", vehicles[2], "--fail-if", "p95_m>0.0001")
-    assert (failed.code, failed.out) == (1, passed.out)
-    assert failed.err.startswith("fails: p95_m>0.0001 (p95_m is ")
-
-
 def test_without_truth_tracks_are_written_but_not_evaluated(vehicles, tmp_path):
     _, read, folder = vehicles
     shutil.copytree(read, tmp_path / "blind")

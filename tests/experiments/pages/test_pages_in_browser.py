@@ -7,6 +7,7 @@ import pytest
 from tests.browser import chromium, watched
 from tests.experiments.pages.small_tracks import NASTY, TAGS, small_bearings, small_run, small_tracks
 from trackwright.experiments.pages.comparison import comparison_charts, write_comparison
+from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.pages.track import run_data, write_track_page
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.recordings.columns import float_column

@@ -1,8 +1,6 @@
 """The data of the page of `track`: what it holds is what the tables hold."""
 
 import base64
-import json
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +8,9 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from tests.experiments.pages.small_tracks import NASTY, TAGS, small_bearings, small_tracks
+from tests.experiments.pages.small_tracks import TAGS, small_bearings, small_tracks
 from trackwright.experiments.pages.scored_tracks import ScoredTracks, drawn_of
-from trackwright.experiments.pages.track import drawn_rows, drawn_tracks, run_data, track_page
+from trackwright.experiments.pages.track import drawn_rows, drawn_tracks, run_data
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.columns import float_column
@@ -78,15 +76,6 @@ def test_of_many_rows_and_tracks_ends_peaks_and_ranks_are_drawn():
     chosen = drawn_tracks(order, 11)
     assert len(chosen) == 11
     assert {order[0], order[50], order[100]} <= set(chosen)
-
-
-def test_no_text_of_a_user_ends_a_script_or_becomes_markup_and_nothing_is_loaded(tracks):
-    evaluation = Evaluation.of(tracks.rows)
-    text = track_page([run_data(tracks, evaluation, f"mine {NASTY}", NASTY)], f"track {NASTY}")
-    assert NASTY not in text
-
-    assert json.loads(text.split('id="data">')[1].split("</script>")[0])["runs"][0]["name"] == NASTY
-    assert not re.search(r'(src|href)="|<link|@import', text[: text.index('<script type="application/json"')])
 
 
 @pytest.mark.parametrize("in_plane", [True, False])

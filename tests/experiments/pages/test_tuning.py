@@ -3,15 +3,13 @@
 import re
 
 import numpy as np
-import polars as pl
 import pytest
 
 import trackwright as tw
+from tests.experiments.cli.small_archive import random_walk
 from trackwright.experiments.pages.tuning import (
     Compared,
-    TunedParameter,
     Verdict,
-    advice,
     compare,
     sweep_chart,
     traces_of,
@@ -20,10 +18,8 @@ from trackwright.experiments.pages.tuning import (
     tuning_page,
 )
 from trackwright.experiments.text.wording import number
-from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.evaluation.comparison import Difference
-from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.tuning.data import fit_data
 from trackwright.tuning.fit_warnings import Issue
 from trackwright.tuning.parameters import Parameter
@@ -32,23 +28,14 @@ from trackwright.tuning.sweeping import Sweep
 PATTERNS = ("motion.sigma_a", "sensors.fixes.sigma_horizontal")
 NASTY = "tune <script>alert(1)</script> 'a&b'"
 ABOUT = "held-out recordings"
-
-
-def _walk(name, seed, rows=60, truth=True):
-    """Fixes of a tag that walks at random."""
-    rng = np.random.default_rng(seed)
-    place = np.cumsum(0.1 * rng.normal(size=(rows, 3)), axis=0) + [2.0, 3.0, 1.0]
-    tables = {}
-    for kind, values in (("fixes", place + 0.25 * rng.normal(size=place.shape)), *[("truth", place)] * truth):
-        columns = {f"{a}_m": values[:, k] for k, a in enumerate("xyz")}
-        tables[kind] = pl.DataFrame({"t_s": np.arange(rows) * 0.2, "tag": "t0"} | columns)
-    return RecordingFolder(name, None, Rig(name, anchors={"A": np.array([0.0, 0.0, 2.0])}), tables)
+WALKS = {"short": 100, "long": 400}
 
 
 @pytest.fixture(scope="module")
-def walks():
+def walks(tmp_path_factory):
     """Two walks, and a tracker with levels that are too small, and with right ones."""
-    folders = [_walk("short", 1, 100), _walk("long", 2, 400)]
+    there = tmp_path_factory.mktemp("walks")
+    folders = [tw.read(random_walk(there / name, k, 0.25, rows)) for k, (name, rows) in enumerate(WALKS.items(), 1)]
     named = tw.build("fix-kf", folders, free_height=True)
     return folders, [named.with_values({"sensors.fixes.sigma_*": sigma}) for sigma in (0.05, 0.25)]
 
@@ -84,25 +71,8 @@ def _compared(*change, worse=()):
     return Compared(ABOUT, [], [], Verdict(difference, dict.fromkeys(worse, difference)))
 
 
-CHANGES = {"Better.": (-2.0, 1.0, 2.5, 3.5), "Worse.": (1.0, 0.5, -0.9, -0.1), "Not told apart.": (1.0, 0.9, -0.4, 0.2)}
-
-
-@pytest.mark.parametrize(("word", "change"), CHANGES.items())
-def test_a_verdict_names_its_interval_what_got_worse_and_what_is_not_determined(word, change):
-    known, unknown = TunedParameter("a.b", "1", 1.0, 2.0, 1.5, 2.5, True), TunedParameter("c.d", "1", 1.0, 2.0)
-    found, sentence, warnings = advice([known], _compared(*change, worse=("line-c",)), [], [])
-    assert (found, len(warnings)) == (word, int(word == "Worse."))
-    assert all(text.startswith(f"line-c got worse, 1.00 → {change[1]:.2f} nats") for text in warnings)
-    assert f"95 % interval {change[2]:+.2f} to {change[3]:+.2f}" in sentence
-    (text,) = advice([known, unknown._replace(determined=False)], _compared(-2.0, 1.0, 2.5, 3.5), [], [])[2]
-    assert text.startswith("Not determined by the recordings: c.d. Do not use such values")
-    _, _, warnings = advice([known], _compared(-2.0, 1.0, 2.5, 3.5), ["an issue"], ["a caution"])
-    assert warnings == ["A caution.", "An issue."]
-    assert Verdict(None, {}, "too short").word == "not judged"
-
-
-def test_the_parameters_steps_and_page_of_a_fit_are_those_of_the_fit(walks):
-    folders = [_walk(name, k, 64) for k, name in enumerate("abc")]
+def test_the_parameters_steps_and_page_of_a_fit_are_those_of_the_fit(tmp_path):
+    folders = [tw.read(random_walk(tmp_path / name, k, 0.25, 64)) for k, name in enumerate("abc")]
     named = tw.build("fix-kf", folders)
     data = fit_data(named.only_batch(folders), "nll", folders[2:], 1000, 3)
     options = tw.FitOptions(steps=6, starts=2, prior="flat")
