@@ -3,7 +3,7 @@
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.model.rig import Rig, Station, Tag
+from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
     RANGE_PRIOR,
@@ -111,8 +111,6 @@ def recording(rng, name, calibration, seconds=60.0, outliers=0.0, field=None):
     truth = pl.DataFrame({"t_s": times, "tag": "1", "x_m": x, "y_m": y, "z_m": z})
     tables = {"bearings": pl.concat(bearings).sort("t_s"), "ranges": pl.concat(ranges).sort("t_s"), "truth": truth}
     return RecordingFolder(name, None, RIG, tables)
-
-
 
 
 def world(seed, recordings=3, by_place=False, **options):

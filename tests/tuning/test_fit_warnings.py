@@ -14,27 +14,28 @@ from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.weight import WINDOWS_S, rows_and_inflation, window_sums
 
-LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
+SIGMA, STEP = "sensors.gauge.sigma", 0.1
+LEVELS = ("motion.sigma_v", SIGMA)
 
 
-def _gauge(places, errors, step=0.1):
-    """A gauge's recording of these places and errors at a constant rate."""
+def _gauge(places, errors, variance=SIGMA_START**2):
+    """A gauge's recording of these places and errors at a constant rate; `variance`: of the first place, m²."""
     values = np.asarray(places + errors)[:, None]
     made = recording(
-        step * np.arange(len(values)), {"gauge": (values, np.ones_like(values, bool))}, [0.0], [[SIGMA_START**2]]
+        STEP * np.arange(len(values)), {"gauge": (values, np.ones_like(values, bool))}, [0.0], [[variance]]
     )
     return Recording(made.times, made.readings, made.inputs)
 
 
-def _walk(rng, rows, sigma_v=0.3, step=0.1):
-    return 0.3 * rng.normal() + np.cumsum(sigma_v * np.sqrt(step) * rng.normal(size=rows))
+def _walk(rng, rows, sigma_v=0.3):
+    return 0.3 * rng.normal() + np.cumsum(sigma_v * np.sqrt(STEP) * rng.normal(size=rows))
 
 
-def _gauss_markov(rng, rows, sigma, length, step=0.1):
+def _gauss_markov(rng, rows, sigma, length):
     """Errors whose correlation falls by e every `length` s; independent ones for 0."""
     if length == 0:
         return sigma * rng.normal(size=rows)
-    a, x = np.exp(-step / length), np.empty(rows)
+    a, x = np.exp(-STEP / length), np.empty(rows)
     x[0] = sigma * rng.normal()
     for k in range(1, rows):
         x[k] = a * x[k - 1] + sigma * np.sqrt(1 - a * a) * rng.normal()
@@ -82,14 +83,9 @@ def test_the_values_without_a_recording_are_those_of_a_fit_to_the_others(objecti
         assert abs(np.log(found["3"][name] / every.values[name])) > 0.02, "the third is noisier"
 
 
-SIGMA, STEP = "sensors.gauge.sigma", 0.1
-
-
 def _standing(rng, rows, length, sigma=0.2):
     """A gauge's recording at a known place, with errors that last."""
-    values = sigma * _gauss_markov(rng, rows, 1.0, length)[:, None]
-    made = recording(STEP * np.arange(rows), {"gauge": (values, np.ones_like(values, bool))}, [0.0], [[1e-8]])
-    return Recording(made.times, made.readings, made.inputs)
+    return _gauge(0.0, sigma * _gauss_markov(rng, rows, 1.0, length), 1e-8)
 
 
 @pytest.mark.parametrize("length", [0.5, 2.0])

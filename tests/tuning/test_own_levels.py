@@ -8,6 +8,7 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import trackwright
+from tests.oracles import kalman, van_loan
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
 from trackwright.tuning.own_levels import fitted
@@ -34,18 +35,14 @@ def _white(sigma):
 def _kalman_rmse(folder, sigma_a, sigma):
     """The RMSE of the filter that knows both levels."""
     fixes, truth = (folder.tables[kind].select("x_m", "y_m").to_numpy() for kind in ("fixes", "truth"))
-    move = np.array([[1.0, STEP_S], [0.0, 1.0]])
-    noise = sigma_a**2 * np.array([[STEP_S**3 / 3, STEP_S**2 / 2], [STEP_S**2 / 2, STEP_S]])
-    errors = []
+    A, noise = np.array([[0.0, 1.0], [0.0, 0.0]]), np.diag([0.0, sigma_a**2])
+    steps, H, R = [van_loan(A, noise, STEP_S)] * (ROWS - 1), np.eye(1, 2), np.array([[sigma**2]])
+    errors = [fixes[0] - truth[0]]
     for fix, true in zip(fixes.T, truth.T, strict=True):
         mean, cov = np.array([fix[0], 0.0]), np.diag([sigma**2, 1.0])
-        errors.append([mean[0] - true[0]])
-        for z, x in zip(fix[1:], true[1:], strict=True):
-            mean, cov = move @ mean, move @ cov @ move.T + noise
-            gain = cov[:, 0] / (cov[0, 0] + sigma**2)
-            mean, cov = mean + gain * (z - mean[0]), cov - np.outer(gain, cov[0])
-            errors[-1].append(mean[0] - x)
-    return np.sqrt(np.sum(np.square(errors)) / ROWS)
+        seen = np.ones((ROWS - 1, 1), bool)
+        errors.append(kalman(steps, H, R, fix[1:, None], seen, mean, cov)[0][:, 0] - true[1:])
+    return np.sqrt(sum(np.sum(np.square(e)) for e in errors) / ROWS)
 
 
 @pytest.mark.parametrize(("sigma_a", "sigma"), [(0.02, 0.3), (2.0, 0.03)])

@@ -19,17 +19,6 @@ def direct():
     return direct_tracker({"north": STATION, "south": shifted})
 
 
-def test_a_pattern_finds_tunables_by_name(direct):
-    assert [p.label for p in select_parameters(direct, "motion.sigma_a")] == ["motion.sigma_a"]
-    assert [p.label for p in select_parameters(direct, "sensors.*.sigma_p")] == [
-        "sensors.north.sigma_p",
-        "sensors.south.sigma_p",
-    ]
-    thresholds = {f"track_loss.{name}" for name in ("nis_limit", "nis_window", "max_gap")}
-    assert {p.label for p in select_parameters(direct, "*")} == set(tunables(direct)) - thresholds
-    assert {p.label for p in select_parameters(direct, "*", thresholds=True)} == set(tunables(direct))
-
-
 def test_tied_tunables_are_one_parameter_named_by_their_pattern(direct):
     (tied,) = select_parameters(direct, "tied:sensors.*.sigma_p")
     assert tied.label == "sensors.*.sigma_p"

@@ -1,6 +1,5 @@
 """tuned.toml: what a fit found comes back into the same tracker, whatever its stations are called."""
 
-import tomllib
 from types import SimpleNamespace
 
 import numpy as np
@@ -61,23 +60,6 @@ def test_what_was_tuned_comes_back_and_nothing_else_changes(tmp_path, tracker, p
     for name, value in expected.items():
         # a Scale is stored as its logarithm: one rounding
         np.testing.assert_allclose(found[name], value, rtol=1e-14)
-
-
-def test_the_file_says_value_unit_and_standard_error_of_each(tmp_path):
-    result = _result(bearing_tracker(4), ["motion.sigma_a", "sensors.*.offsets"])
-    ends = {"motion.sigma_a": (np.array(0.1), np.array(0.4))}
-    write_tuned(tmp_path / "tuned.toml", tuned_content("bearings", "nll", result, ends))
-    content = tomllib.loads((tmp_path / "tuned.toml").read_text())
-    assert (content["tracker"], content["objective"]) == ("bearings", "nll")
-    assert (content["before"], content["after"]) == (2.5, 1.25)
-    sigma_a, offsets = (content["tunables"][k] for k in ("motion.sigma_a", "sensors.bearings.offsets"))
-    assert sigma_a["unit"] == "m/s^2/sqrt(Hz)"
-    assert sigma_a["value"] == float(result.values["motion.sigma_a"])
-    assert np.isnan(sigma_a["standard_error"])
-    assert (sigma_a["lowest_95"], sigma_a["highest_95"]) == (0.1, 0.4)
-    assert np.isnan(offsets["lowest_95"]).all()
-    assert offsets["value"] == result.values["sensors.bearings.offsets"].tolist()
-    assert offsets["standard_error"] == pytest.approx(0.1 * np.abs(offsets["value"]))
 
 
 def test_the_file_names_the_calibration_of_its_recordings(tmp_path):

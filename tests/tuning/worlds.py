@@ -9,8 +9,7 @@ import numpy as np
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackwright.sim.stations import work_station
-from trackwright.trackers.aoa.beam import Beam, BeamMotion
-from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import ConstantPosition, Placed
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
@@ -20,32 +19,6 @@ from trackwright.tuning.problem import Problem
 
 STATION = work_station().stations["1"]
 SIGMA_START = 0.5
-
-
-def beams(n: int, rows: int, sigma_a: float, sigma_p: float, seed: int, missing: float = 0.0) -> list[Recording]:
-    """Beams of `STATION` that move by `BeamMotion` with plane waves and white noise; the first row sees all antennas.
-
-    So a beamformer finds the right lobe there: a filter that starts in a wrong one is another world than its model.
-    """
-    rng = np.random.default_rng(seed)
-    dts = np.concatenate([[0.0], rng.uniform(0.02, 0.1, rows - 1)])
-    motion, state, path = BeamMotion(Scale(sigma_a)), Beam(*rng.normal(0, 0.05, (4, n))), []
-    for dt, w in zip(dts, rng.normal(size=(rows, 2, n)), strict=True):
-        state = motion.step(state, None, dt, Vector(*w))
-        path.append(np.stack([state.azimuth, state.elevation], axis=-1))
-    angles = np.stack(path, axis=1)
-    azimuth, elevation = np.moveaxis(angles, -1, 0)
-    plane = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation)], axis=-1)
-    phases = plane @ (2 * np.pi / STATION.wavelength * np.asarray(STATION.antennas).T)
-    phases += rng.uniform(-np.pi, np.pi, (n, rows, 1)) + sigma_p * rng.normal(size=phases.shape)
-    seen = rng.random(phases.shape) >= missing
-    seen[:, 0] = True
-    values = np.where(seen, np.angle(np.exp(1j * phases)), 0.0)
-    known = np.ones(rows, bool)
-    return [
-        Recording(np.cumsum(dts), {"1": Readings(v, s)}, {}, {"direction": (a, known)})
-        for v, s, a in zip(values, seen, angles, strict=True)
-    ]
 
 
 class Gauge(AbstractSensor):

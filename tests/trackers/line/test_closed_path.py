@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.tunable import Scale
@@ -13,7 +12,6 @@ from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
-from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 
 CORNERS = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]]
 LOOP, LAPS = Polyline([*CORNERS, CORNERS[0]]), Polyline([*CORNERS, *CORNERS, *CORNERS, CORNERS[0]])
@@ -74,18 +72,3 @@ def test_means_of_arclengths_on_both_sides_of_the_first_knot_are_between_them():
     gathered = LOOP.gathered(jnp.asarray([5.9, 0.1, 5.8]), jnp.asarray([0.5, 0.25, 0.25]))
     assert float(jnp.sum(gathered * jnp.asarray([0.5, 0.25, 0.25]))) == pytest.approx(-0.075)
     np.testing.assert_allclose(LOOP.position(jnp.asarray(-0.075)), [0.0, 0.075], atol=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("make", [line_grid_tracker, line_tracker])
-def test_a_tag_on_a_closed_path_is_tracked_from_any_first_position(make):
-    rng, times = np.random.default_rng(1), 0.25 * np.arange(240)
-    for first in (0.02, 3.1):
-        positions = _positions(first + 0.4 * times)
-        values = positions + 0.2 * rng.normal(size=positions.shape)
-        seen = Readings(values, np.ones(values.shape, bool), np.zeros(values.shape))
-        tracker = make(line_motion(LOOP), {FIXES: FloorFixes(0.2)})
-        estimates = tracker.run(Recording(times, {FIXES: seen}, {}, name="rounds"))
-        off = np.hypot(*(np.stack(estimates.mean.position, axis=-1) - positions).T)
-        assert np.sqrt(np.mean(off[20:] ** 2)) < 0.15
-        assert np.sqrt(np.mean(np.hypot(*(values - positions).T) ** 2)) > 0.25

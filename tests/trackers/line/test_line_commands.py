@@ -47,12 +47,6 @@ def test_on_all_situations_the_path_halves_the_error_of_the_fixes(folders, track
         assert recording["rmse_m"] < 0.25
 
 
-@pytest.mark.slow
-def test_particles_and_grid_are_about_as_good(folders, tracked):
-    rmse = [evaluate(tracked(name)[0], folders).overall["rmse_m"] for name in ("line-grid", "line-pf")]
-    assert max(rmse) / min(rmse) < 1.15
-
-
 def test_ranges_to_tags_of_unknown_height_are_refused_in_words(folders):
     ranges = pl.DataFrame({"t_s": [0.0], "tag": ["0"], "anchor": ["a"], "range_m": [1.0]})
     folder = RecordingFolder("x", None, Rig("x", path_knots=folders[0].rig.path_knots), {"ranges": ranges})

@@ -1,6 +1,5 @@
 """Particles against the grid on the same motion: estimates, likelihood, gradients, rests; over many keys."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,8 +12,7 @@ from trackwright.trackers.core.model.algebra import diagonal
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.core.run.chunks import as_dtype
-from trackwright.trackers.core.run.tracker import Tracker, filter_batch
+from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
@@ -132,27 +130,3 @@ def test_a_change_of_speed_has_the_mean_and_variance_of_the_motion(sigma):
     steps = np.arange(41) - 20
     assert changes[20] @ steps == pytest.approx(0.0, abs=1e-9)
     assert changes[20] @ steps**2 == pytest.approx(sigma**2, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_the_gradient_of_the_grids_likelihood_is_the_central_difference():
-    batch = stack(_trajectories("halting", 1))
-
-    def log_likelihood(sigma_a, sigma_p):
-        motion = HaltingMotion(LINE, 1.0, halting=0.6, rest=2.0)
-        tracker = Tracker(motion, {FIXES: FloorFixes(1.0, None)}, KnownStart(STARTS["halting"][1]), GRID, NEVER_LOST)
-        model = as_dtype(tracker, batch.dt.dtype)
-        model = _with(model, jnp.log(sigma_a), jnp.log(sigma_p))
-        return filter_batch(model, jax.tree_util.tree_map(jnp.asarray, batch)).log_likelihood.sum()
-
-    at, step = (0.3, 0.25), 1e-4
-    value = jax.jit(log_likelihood)
-    slopes = jax.jit(jax.jacfwd(log_likelihood, argnums=(0, 1)))(*at)
-    for k in range(2):
-        ends = [value(*(a + s * step * (j == k) for j, a in enumerate(at))) for s in (1, -1)]
-        # The third derivative times step²: 1e-6 of the slope.
-        assert float(slopes[k]) == pytest.approx(float(ends[0] - ends[1]) / (2 * step), rel=1e-4)
-
-
-def _with(model, raw_a, raw_p):
-    return eqx.tree_at(lambda t: (t.motion.sigma_a.raw, t.sensors[FIXES].sigma_p.raw), model, (raw_a, raw_p))

@@ -37,8 +37,3 @@ def test_the_mean_score_of_rests_departures_fixes_and_start_is_the_grids_gradien
     # The grid's own gradient is off by the square of its cells: 0.002. Of six numbers one is beyond four standard
     # errors in one of 2,600 choices of keys.
     assert np.all(error < 4 * scores.std(axis=1) / np.sqrt(KEYS) + 0.002)
-
-
-@pytest.mark.slow
-def test_every_key_has_a_score_of_its_own(slopes):
-    assert np.all(slopes[1].std(axis=1) > 0)

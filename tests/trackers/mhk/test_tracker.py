@@ -2,16 +2,12 @@
 
 import dataclasses
 
-import equinox as eqx
 import numpy as np
 import pytest
 
 from tests.known_start import flat
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Readings, Recording
-from trackwright.trackers.core.filters.ekf import ExtendedKalman
-from trackwright.trackers.mhk.accelerations import AccelerationSphere
-from trackwright.trackers.mhk.fusion import AccelerationFilter
 from trackwright.trackers.mhk.tracker import mhk_tracker
 from trackwright.trackers.parts.fixes import FIXES
 
@@ -41,17 +37,6 @@ def test_it_waits_for_a_full_window_and_ends_near_the_path(tracker):
     # The middle of the window is 0.4 s old.
     errors = flat(estimates.mean)[20:, :3] - _position(recording.times[20:] - 0.4)
     assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.06
-
-
-def test_without_accelerations_it_is_the_plain_filter_on_medians():
-    recording = _recording()
-    still = AccelerationFilter(AccelerationSphere(p_still=1 - 1e-12), 1e3, None)
-    tracker = mhk_tracker()
-    chain = eqx.tree_at(lambda t: t.fusion.filter, tracker, still).run(recording)
-    plain = eqx.tree_at(lambda t: t.fusion.filter, tracker, ExtendedKalman()).run(recording)
-    # The mean acceleration is zero up to rounding.
-    np.testing.assert_allclose(flat(chain.mean), flat(plain.mean), atol=1e-9)
-    np.testing.assert_allclose(chain.log_likelihood, plain.log_likelihood, atol=1e-7)
 
 
 @pytest.mark.parametrize("empty", [0.0, 0.2, 0.5])

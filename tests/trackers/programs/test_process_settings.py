@@ -1,14 +1,11 @@
 """Freed memory goes back to the system, or is kept."""
 
-import ctypes
 import os
 import platform
 import subprocess
 import sys
 
 import pytest
-
-from trackwright.trackers.programs.program_cache import give_back
 
 FAULTS = """
 import resource, sys
@@ -22,21 +19,6 @@ for _ in range(100):
     np.ones(200_000)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
-
-
-def test_memory_is_given_back_where_glibc_can(monkeypatch):
-    calls = []
-
-    class Library:
-        def malloc_trim(self, padding):
-            calls.append(padding)
-
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: Library())
-    monkeypatch.setattr(sys, "platform", "linux")
-    give_back()
-    monkeypatch.setattr(sys, "platform", "darwin")
-    give_back()
-    assert calls == [0]
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="parameters of glibc")
