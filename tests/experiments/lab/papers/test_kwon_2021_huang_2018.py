@@ -7,7 +7,7 @@ import pytest
 
 from tests.oracles import distances_to_path
 from trackwright.experiments.lab.papers import fitting
-from trackwright.experiments.lab.papers.fitting import Fitted, fitted, solved, unsaved, write_fitted
+from trackwright.experiments.lab.papers.fitting import fitted, solved, unsaved
 from trackwright.experiments.lab.papers.huang_2018 import mhk_against, workshop
 from trackwright.experiments.lab.papers.kwon_2021 import chamber, line_of_sight, robot, table_4
 from trackwright.experiments.monte_carlo.tracked import TrackedRuns
@@ -32,15 +32,6 @@ def test_a_fit_finds_the_parameters_at_which_the_ratios_are_one():
     )
     # x y = 6 and 3 x = y²: y³ = 18; the fit stops at steps of a thousandth.
     np.testing.assert_allclose([found["x"], found["y"]], [6 / 18 ** (1 / 3), 18 ** (1 / 3)], rtol=2e-3)
-
-
-def test_fitted_parameters_are_read_as_they_were_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(fitting, "LAB", tmp_path)
-    (tmp_path / "someone" / "fitted").mkdir(parents=True)
-    write_fitted(
-        "someone/x", "none", {"drift": Fitted(0.0123456, "m", "the mean"), "share": Fitted(0.5, "1", "the rest")}
-    )
-    assert fitted("someone/x") == {"drift": 0.01235, "share": 0.5}
 
 
 def test_a_fit_of_an_unknown_name_is_refused_with_the_names_there_are():
@@ -131,11 +122,3 @@ def test_a_still_tags_fixes_come_of_its_ranges():
     # Ranges are off by 1 cm, and nothing of it is a bias.
     assert np.abs(off.mean(axis=0)).max() < 0.005
     assert np.abs(off).max() < 0.06
-
-
-def test_the_hall_hides_the_anchor_along_x_alone():
-    clear, hidden = (line_of_sight.hall(np.arange(3), 0, 4, 0.1, detour) for detour in (0.0, 0.3))
-    longer = hidden.tables["ranges"]["range_m"] - clear.tables["ranges"]["range_m"]
-    anchor = clear.tables["ranges"]["anchor"]
-    assert set(anchor.filter(longer > 0.01)) == {"A2"}
-    assert longer.min() >= 0

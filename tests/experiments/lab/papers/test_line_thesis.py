@@ -18,18 +18,11 @@ from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     error,
     least,
     open_ended,
-    recording,
     root_mean_square,
 )
 from trackwright.experiments.monte_carlo import FITTED, Conclusion, ExpectedResult, TrackedRuns
 from trackwright.experiments.monte_carlo.runner import run_study
 from trackwright.sim.line import THESIS_KNOTS
-
-NUMBERS = {"number": 2, "situation": "halts", "white": 0.2, "slow": 0.2, "tau": 1.5, "speed": 0.6, "rate_hz": 5.0}
-
-
-def _places(folder, table):
-    return folder.tables[table].sort("tag", "t_s").select("x_m", "y_m").to_numpy()
 
 
 def _run(estimates, truth=None):
@@ -53,29 +46,6 @@ def test_the_path_of_the_particles_goes_on_beyond_its_last_knot_as_the_last_case
     for d in (13.0, 16.345, 20.0):
         x, y = line.position(d)
         assert np.allclose([x, y], [2.615 + d - 12.295, 4.065], atol=1e-6)  # single precision
-
-
-def test_a_recording_of_an_id_is_the_same_whatever_others_there_are():
-    both, alone = (recording(np.array(ids), 3, **NUMBERS) for ids in ([4, 9], [9]))
-    for table in ("fixes", "truth"):
-        assert np.array_equal(_places(both, table)[-len(_places(alone, table)) :], _places(alone, table))
-
-
-def test_recordings_have_noise_of_their_own():
-    one, other = (recording(np.array([0]), 3, **{**NUMBERS, "number": k}) for k in (1, 2))
-    noise = [
-        _places(f, "fixes")
-        - _places(recording(np.array([0]), 3, **{**NUMBERS, "number": k}, fitted_truth=False), "truth")
-        for f, k in ((one, 1), (other, 2))
-    ]
-    # 600 numbers with about a tenth as many independent ones: three deviations of a correlation of none.
-    assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 3 / np.sqrt(60)
-
-
-def test_the_truth_by_least_squares_is_nearer_to_the_fixes_than_the_true_one():
-    fit, true = (recording(np.array([0]), 3, **NUMBERS, fitted_truth=f) for f in (True, False))
-    apart = [np.mean((_places(f, "fixes") - _places(f, "truth")) ** 2) for f in (fit, true)]
-    assert apart[0] < apart[1]
 
 
 def test_the_error_is_the_mean_distance_or_its_root_mean_square():

@@ -1,30 +1,25 @@
 """The studies of the work stand compute what they claim from the fitted array, and the fits are what they say."""
 
-import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from trackwright.experiments.lab.papers.fitting import fitted, fitted_file, unsaved
+from trackwright.experiments.lab.papers.fitting import fitted, unsaved
 from trackwright.experiments.lab.papers.will_2020 import computing_cost, figure_8
 from trackwright.experiments.lab.papers.will_2020 import table_1 as of_table_1
 from trackwright.experiments.lab.papers.will_2020._work_stand import (
-    ALL,
     NUMBERS,
     PRINTED_DEG,
     RADIUS,
     SETS,
     antennas_of,
-    covered,
-    in_use,
     recorded,
     stand,
 )
 from trackwright.experiments.lab.papers.will_2020.fit_array_layout import HALF_BOX
 from trackwright.experiments.monte_carlo import ExpectedResult
 from trackwright.experiments.monte_carlo.sources import load_study
-from trackwright.sim.stations import work_station
 from trackwright.trackers.aoa.phases import DEFAULT_WAVELENGTH
 
 
@@ -40,17 +35,6 @@ def test_the_fitted_array_keeps_to_its_box_and_half_a_wavelength_apart():
     assert np.all(np.abs(antennas) <= HALF_BOX + 1e-5)
     apart = np.linalg.norm(antennas[:, None] - antennas, axis=-1)[np.triu_indices(8, 1)]
     assert apart.min() >= DEFAULT_WAVELENGTH / 2 - 1e-5
-
-
-def test_a_fitted_file_says_what_it_was_fitted_to_and_which_command_wrote_it():
-    for name in ("table_1", "figure_8"):
-        text = fitted_file(f"papers/will_2020/{name}").read_text("utf-8")
-        assert text.startswith(
-            f"# Written by `python -m trackwright.experiments.lab.papers.fitting papers/will_2020/{name}`."
-        )
-        content = tomllib.loads(text)
-        assert content["degrees_of_freedom_left"].startswith("none")
-        assert all(number["unit"] and number["fitted_to"] for number in content["numbers"].values())
 
 
 @pytest.mark.slow
@@ -82,15 +66,6 @@ def test_operations_are_those_counted_by_hand_and_do_not_depend_on_the_machine()
     assert 500 < computing_cost.filter_operations(station) < 28**3 / 3
 
 
-def test_antennas_are_covered_after_the_start_alone():
-    seen = np.ones((2, 4, 3, 8), bool)
-    _, left = covered("2-3-6")(None, np.arange(4.0), np.zeros(seen.shape), seen)
-    assert left[:, 0].all()
-    assert np.array_equal(left[:, 1:], np.broadcast_to(in_use("2-3-6"), left[:, 1:].shape))
-    assert seen.all()
-    assert in_use(ALL).all()
-
-
 def test_a_lost_station_says_nothing_and_the_helix_takes_as_long_at_any_rate():
     ids = np.array([3, 5])
     folder = recorded(ids, 0, lost=1, rate_hz=2.0)
@@ -98,13 +73,6 @@ def test_a_lost_station_says_nothing_and_the_helix_takes_as_long_at_any_rate():
     assert sorted(phases["station"].unique()) == ["2", "3"]
     assert sorted(phases["tag"].unique()) == ["3", "5"]
     assert phases["t_s"].max() == pytest.approx(19.5)
-
-
-def test_the_stand_is_the_simulated_one_with_other_numbers_and_antennas():
-    mine, plain = stand(NUMBERS, 0.4, 2.0), work_station(2 * antennas_of(NUMBERS))
-    for name, other in {"1": "2", "2": "1", "3": "3"}.items():
-        assert np.array_equal(mine.stations[name].position, plain.stations[other].position)
-        assert np.array_equal(mine.stations[name].antennas, plain.stations[other].antennas)
 
 
 @pytest.mark.slow
