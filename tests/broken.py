@@ -83,6 +83,7 @@ BROKEN: dict[str, Builder] = {
     "negative wavelength": with_rig("wavelength_m = 0.0125", "wavelength_m = -0.0125", "wavelength_m"),
     "antennas without wavelength": with_rig("wavelength_m = 0.0125\n", "", "wavelength_m"),
     "tag height beyond reason": with_rig("height_m = 1.0", "height_m = 1e9", "tags.T1.height_m"),
+    "walls of three numbers": with_rig("[path]", "[floor]\nwalls_m = [[0, 0, 1]]\n[path]", "floor.walls_m"),
     "path of one corner": with_rig("[[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]", "[[1.0, 1.0]]", "knots_m"),
     "path with a repeated knot": with_rig(
         "[5.0, 1.0], [5.0, 4.0]]", "[5.0, 1.0], [5.0, 1.0]]", "knot 2 of the path repeats"

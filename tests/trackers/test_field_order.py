@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import polars as pl
 import pytest
 
 import trackwright as tw
@@ -19,17 +18,13 @@ from trackwright.trackers.core.filters.imm import Mixture
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.motion import AbstractMotion, ConstantVelocity, Kinematic
-from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import Rotation
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart
-from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import track
 from trackwright.trackers.uwb_imu.inertial import with_yaw_variance
-
-IDS, ROWS = np.array([f"tag {k}" for k in range(12)]), 40
 
 R = np.array([[0.09, -0.05, 0.0], [-0.05, 0.04, 0.0], [0.0, 0.0, 0.25]])
 """Covariance of the fixes, m²: correlated, so that cov_xy is not zero."""
@@ -86,27 +81,16 @@ def _tracker(exchanged):
 
 
 @pytest.fixture(scope="module")
-def folder():
-    """Tags with white accelerations of 0.5 m/s² per √Hz and correlated fixes at 5 Hz: the trackers' own model."""
-    rng, dt = np.random.default_rng(3), 0.2
-    times, fixes, truths = np.arange(ROWS) * dt, [], []
-    for tag in IDS:
-        a, b = 0.5 * np.sqrt(dt) * rng.normal(size=(2, ROWS, 3))
-        velocity = rng.normal(size=3) + np.cumsum(a, axis=0)
-        path = np.cumsum((velocity - a) * dt + a * dt / 2 + b * dt / 12**0.5, axis=0)
-        for found, x in ((truths, path), (fixes, path + rng.multivariate_normal(np.zeros(3), R, ROWS))):
-            found.append(pl.DataFrame({"t_s": times, "tag": tag} | {f"{c}_m": x[:, k] for k, c in enumerate("xyz")}))
-    spread = {f"{c}_std_m": pl.lit(None, pl.Float64) for c in "xyz"}
-    tables = {"fixes": pl.concat(fixes).with_columns(**spread), "truth": pl.concat(truths)}
-    return RecordingFolder("hall", None, Rig("hall"), tables)
-
-
-@pytest.fixture(scope="module")
 def specs():
     return {
         name: replace(spec_of("fix-kf"), build=lambda trajectory, planar, e=exchanged: _tracker(e))
         for name, exchanged in (("usual", False), ("exchanged", True))
     }
+
+
+@pytest.fixture(scope="module")
+def folder():
+    return tw.simulate.agv(n=3, seed=3, rows=40).folder()
 
 
 def test_the_tables_and_their_evaluation_do_not_depend_on_the_order_of_the_fields(folder, specs):

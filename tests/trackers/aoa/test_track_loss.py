@@ -3,7 +3,6 @@
 In single precision, as users run it.
 """
 
-import jax
 import numpy as np
 import pytest
 
@@ -15,7 +14,7 @@ from trackwright.trackers.core.data.recording import Readings, Recording, stack
 ROWS, ANTENNAS, SIGMA_P, JUMP_ROW = 120, 8, 0.15, 50
 STATION = work_station().stations["1"]
 TIMES = np.arange(ROWS) * 0.1
-STEADY, JUMP, SILENT, SHORT_SILENCE, EMPTY, LATE, NOISE, OTHER = range(8)
+JUMP, SILENT, LATE = range(3)
 
 
 def _angles(trajectory):
@@ -35,10 +34,6 @@ def _recording(trajectory, rng):
     seen = rng.random(phases.shape) < 0.9
     if trajectory == SILENT:
         seen[30:90] = False
-    if trajectory == SHORT_SILENCE:
-        seen[30:60] = False
-    if trajectory == EMPTY:
-        seen[:] = False
     if trajectory == LATE:
         # Two antennas are no direction: the start waits for a third.
         seen[:20] = np.arange(ANTENNAS) < 2
@@ -46,17 +41,9 @@ def _recording(trajectory, rng):
 
 
 @pytest.fixture(scope="module")
-def recordings():
-    return [_recording(trajectory, np.random.default_rng(trajectory)) for trajectory in range(8)]
-
-
-def _run(recordings):
+def estimates():
+    recordings = [_recording(trajectory, np.random.default_rng(trajectory)) for trajectory in range(3)]
     return beam_tracker(STATION, "1", sigma_p=2 * SIGMA_P).run(stack(recordings, dtype=np.float32))
-
-
-@pytest.fixture(scope="module")
-def estimates(recordings):
-    return _run(recordings)
 
 
 def _error(estimates, trajectory):
@@ -89,23 +76,3 @@ def test_a_track_waits_for_three_antennas(estimates):
     assert np.all(status[:20] == Status.WAITING)
     assert np.all(status[20:] == Status.OK)
     assert _error(estimates, LATE)[25:].max() < 2
-
-
-def _with_garbage(recordings, size):
-    values = np.random.default_rng(9).uniform(-size, size, (ROWS, ANTENNAS))
-    spoilt = list(recordings)
-    spoilt[NOISE] = Recording(TIMES, {"1": Readings(values, np.ones(values.shape, bool))})
-    return _run(spoilt)
-
-
-@pytest.mark.parametrize("size", [np.pi, 1e9, 1e30, 3e38])
-def test_garbage_in_one_trajectory_leaves_the_others_bit_identical_through_repeated_restarts(
-    recordings, estimates, size
-):
-    result = _with_garbage(recordings, size)
-    for trajectory in (STEADY, JUMP, SILENT, SHORT_SILENCE, EMPTY, LATE, OTHER):
-        for a, b in zip(
-            *map(jax.tree_util.tree_leaves, (vars(result[trajectory]), vars(estimates[trajectory]))), strict=True
-        ):
-            np.testing.assert_array_equal(a, b)
-    assert np.sum(result[NOISE].status == Status.RESTARTED) > 5

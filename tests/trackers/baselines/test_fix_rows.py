@@ -4,7 +4,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.in_process import PLAIN, trackwright
 from trackwright.sim.agv import ANCHOR_HEIGHT, simulate_agv
 from trackwright.sim.corruptions import correlated_noise, delayed
 from trackwright.trackers.baselines.rows import mirror_trajectories
@@ -12,8 +11,7 @@ from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.mhk.rows import spatial_trajectories
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.parts.fixes import FIXES, fix_trajectories, lacks_fixes
-from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
-from trackwright.trackers.recordings.tracks_table import read_tracks
+from trackwright.trackers.recordings.folder import RecordingFolder
 
 LATENCY = 0.4
 
@@ -22,13 +20,6 @@ LATENCY = 0.4
 def world():
     errors = {"late": delayed(LATENCY), "noise": correlated_noise(STILL)}
     return simulate_agv(2, rows=300, speed=1.0, errors=errors).folder("agv")
-
-
-@pytest.fixture(scope="module")
-def folder(world, tmp_path_factory):
-    path = tmp_path_factory.mktemp("fixes") / "agv"
-    write_recording(world, path)
-    return path
 
 
 def _with(folder, rig=None, **tables):
@@ -78,17 +69,3 @@ def test_fixes_without_any_height_are_refused_and_with_a_known_one_are_not(world
     flat = world.tables["fixes"].with_columns(z_m=pl.lit(None, pl.Float64))
     assert "height_m" in lacks_fixes(_with(world, fixes=flat))
     assert lacks_fixes(_with(_known_height(world), fixes=flat)) is None
-
-
-def test_a_tag_that_is_never_seen_is_a_track_that_waits(world, tmp_path):
-    nothing = pl.lit(None, pl.Float64)
-    table = world.tables["fixes"].with_columns(
-        **{f"{a}_m": pl.when(pl.col("tag") == "1").then(nothing).otherwise(f"{a}_m") for a in "xyz"}
-    )
-    write_recording(_with(world, fixes=table), tmp_path / "silent")
-    options = ("--tracker", "median", *PLAIN, "--out", tmp_path / "out")
-    said = trackwright("track", tmp_path / "silent", *options)
-    assert said.code == 0, said.err
-    tracks = read_tracks(tmp_path / "out")
-    assert set(tracks.filter(tag="1")["status"]) == {"waiting"}
-    assert tracks.filter(tag="1")["x_m"].null_count() == 300

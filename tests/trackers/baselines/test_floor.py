@@ -6,7 +6,6 @@ import pytest
 
 from tests.in_process import PLAIN, trackwright
 from trackwright.trackers.baselines.floor import Walls
-from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import Placed
@@ -84,23 +83,6 @@ def test_the_walls_take_a_quarter_of_the_error_across_the_corridor(there, tracke
         both = table.join(_folder().tables["truth"], on="t_s", suffix="_true").filter(pl.col("x_m_true") < 10.0)
         errors.append(float(np.sqrt(np.nanmean((both["y_m"] - both["y_m_true"]).to_numpy() ** 2))))
     assert errors[0] < 0.75 * errors[1]
-
-
-@pytest.mark.parametrize(
-    ("lines", "words"),
-    [
-        ("[floor]\nwalls_m = []", "expected numbers of shape n 4"),
-        ("[floor]\nwalls_m = [[0, 0, 1]]", "expected numbers of shape n 4"),
-        ("[floor]\noutline_m = [[0, 0], [1, 1]]", "expected at least 3 items"),
-        ("[floor]\nwall_m = [[0, 0, 1, 1]]", "unknown key 'wall_m' in .floor., expected walls_m"),
-    ],
-)
-def test_a_floor_plan_that_is_none_is_refused_with_its_key(there, tmp_path, lines, words):
-    write_recording(_folder(), tmp_path / "a")
-    rig = tmp_path / "a" / "rig.toml"
-    rig.write_text(f'format = 1\nname = "a"\n\n{lines}\n')
-    with pytest.raises(UnusableInput, match=words):
-        read_recording(tmp_path / "a")
 
 
 def test_what_begins_outside_the_outline_dies_at_its_first_move():

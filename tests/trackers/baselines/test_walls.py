@@ -5,12 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.known_start import LinearSensor
 from trackwright.trackers.baselines.floor import Walls
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import ConstantPosition, Placed
-from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
+from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.tunable import Constant
 
 CORNER = [[0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]
@@ -57,18 +58,6 @@ def test_no_straight_move_leaves_a_closed_room():
     assert np.all(each(inside, np.roll(inside, 1, axis=0)) == 0)
 
 
-class PositionSensor(AbstractSensor):
-    @property
-    def channels(self):
-        return (Channel("x", "m"),)
-
-    def measure(self, view, inputs):
-        return [view.position[0]]
-
-    def residual(self, reading, predicted):
-        return independent([reading.values[0] - predicted[0]], [1.0], reading.seen)
-
-
 def test_the_log_likelihood_of_a_row_without_measurement_is_that_of_crossing_no_wall():
     n, wall = 4096, 0.5
     key = jax.random.key_data(jax.random.key(3))
@@ -79,7 +68,9 @@ def test_the_log_likelihood_of_a_row_without_measurement_is_that_of_crossing_no_
     @jax.jit
     def row(belief):
         moved = filter.predict(belief, motion, {}, jnp.asarray(1.0))
-        return filter.update(moved, motion, PositionSensor(), Reading(jnp.zeros(1), jnp.array([False]), ()), {})
+        return filter.update(
+            moved, motion, LinearSensor(np.eye(1, 2), [1.0], 1), Reading(jnp.zeros(1), jnp.array([False]), ()), {}
+        )
 
     after, innovation = row(belief)
     # Φ(0.5), with the binomial's four standard errors.

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import polars as pl
 import pytest
 from scipy.stats import norm
 
@@ -63,19 +64,20 @@ def test_the_gradient_in_the_time_of_travel_is_that_of_the_chances():
     assert float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-4, abs=2e-3)
 
 
-def test_ranges_that_stay_too_long_leave_the_covariances_within_the_limit_of_regret(tmp_path):
+def test_ranges_that_stay_too_long_leave_the_covariances_within_the_limit_of_regret():
     anchors, times = np.array([[3.0, 0.0, 1.0], [-2.0, -1.0, 1.0]]), np.arange(0.0, 60.0, 0.2)
     x = np.clip(0.5 + 0.1 * (times - 30.0), 0.5, 1.5)
     places = np.stack([x, 0 * x, 0 * x], axis=1)
     too_long = np.array([0.0, 0.1]) + 0.03 * np.random.default_rng(0).standard_normal((len(times), 2))
     ranges = np.linalg.norm(places[:, None] - anchors, axis=2) + too_long
-    (tmp_path / "rig.toml").write_text(
-        f'format = 1\nname = "a"\n[anchors]\na0 = {anchors[0].tolist()}\na1 = {anchors[1].tolist()}\n'
-        '[tags."0"]\nheight_m = 0.0\n[path]\nknots_m = [[0.0, 0.0], [2.0, 0.0]]\n'
+    heard = [{"t_s": times, "tag": "0", "anchor": f"a{k}", "range_m": ranges[:, k]} for k in range(2)]
+    truth = pl.DataFrame({"t_s": times, "tag": "0", "x_m": x, "y_m": 0.0, "z_m": 0.0})
+    rig = tw.Rig(
+        "a",
+        {f"a{k}": p for k, p in enumerate(anchors)},
+        tags={"0": tw.Tag(0.0)},
+        path_knots=np.array([[0.0, 0.0], [2.0, 0.0]]),
     )
-    rows = [f"{t:.3f},0,a{k},{r[k]:.4f}" for t, r in zip(times, ranges, strict=True) for k in range(2)]
-    (tmp_path / "ranges.csv").write_text("\n".join(["t_s,tag,anchor,range_m", *rows]) + "\n")
-    truth = [f"{t:.3f},0,{a:.4f},0.0,0.0" for t, a in zip(times, x, strict=True)]
-    (tmp_path / "truth.csv").write_text("\n".join(["t_s,tag,x_m,y_m,z_m", *truth]) + "\n")
-    folder = tw.read(tmp_path)
+    tables = {"ranges": pl.concat(map(pl.DataFrame, heard)).sort("t_s", maintain_order=True), "truth": truth}
+    folder = tw.RecordingFolder("a", None, rig, tables)
     assert tw.evaluate(tw.build("line-grid", folder).run([folder]), [folder]).overall["regret"] < 0.3

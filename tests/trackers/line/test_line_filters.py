@@ -122,11 +122,3 @@ def test_the_grids_probabilities_add_to_one():
 
 def _normal(state, sigma):
     return Gaussian(state, diagonal([jnp.asarray(s) ** 2 for s in sigma], jnp.asarray(0.0)))
-
-
-@pytest.mark.parametrize("sigma", [0.02, 0.3, 1.0, 3.0])
-def test_a_change_of_speed_has_the_mean_and_variance_of_the_motion(sigma):
-    changes = np.asarray(GRID._speed_transition(jnp.asarray(sigma)))
-    steps = np.arange(41) - 20
-    assert changes[20] @ steps == pytest.approx(0.0, abs=1e-9)
-    assert changes[20] @ steps**2 == pytest.approx(sigma**2, rel=1e-6)

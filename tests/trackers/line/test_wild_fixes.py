@@ -11,13 +11,11 @@ from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import LineMotion, PathOutputMap
 from trackwright.trackers.line.tracker import line_grid_tracker, line_tracker
-from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 
 LENGTH, ROWS, DT, SIGMA, DOF = 20.0, 150, 0.1, 0.3, 4.0
 TIMES = DT * np.arange(ROWS)
 LINE = Polyline([[0.0, 0.0], [LENGTH, 0.0]])
 STEADY = 0.5 + 0.02 * TIMES**2
-ANCHORS = np.array([[-2.0, 5.0, 2.0], [10.0, -4.0, 2.0], [22.0, 5.0, 2.0]])
 
 
 def _fixes(arclength, seed=1):
@@ -114,18 +112,6 @@ def test_a_tag_that_was_carried_to_another_place_on_the_path_is_found_within_a_s
     estimates = _tracked(make, {FIXES: FloorFixes(SIGMA)}, [{FIXES: _fixes(s)} for s in CARRIED.values()])
     for k, truth in enumerate(CARRIED.values()):
         assert np.all(np.abs(estimates[k].mean.position[0] - truth)[(TIMES < 7) | (TIMES > 8)] < 0.5)
-
-
-@pytest.mark.parametrize("make", [line_grid_tracker, line_tracker])
-def test_a_carried_tag_is_found_by_its_ranges_within_two_seconds(make):
-    which = np.arange(ROWS) % 3
-    inputs = {"anchors": ANCHORS[which], "anchor": which[:, None].astype(float), "height": np.ones(ROWS)}
-    places = [np.stack([s, np.zeros(ROWS), np.ones(ROWS)], -1) for s in CARRIED.values()]
-    noise = 0.05 * np.random.default_rng(3).normal(size=(ROWS, 1))
-    ranges = [np.linalg.norm(p - ANCHORS[which], axis=1)[:, None] + noise for p in places]
-    estimates = _tracked(make, {RANGES: RangeSensor(1, 3, 0.1, 3.0, 3.0)}, [{RANGES: z} for z in ranges], inputs)
-    for k, truth in enumerate(CARRIED.values()):
-        assert np.all(np.abs(estimates[k].mean.position[0] - truth)[TIMES > 9] < 0.5)
 
 
 def test_a_wild_fix_with_normal_errors_leaves_the_grid_finite():
