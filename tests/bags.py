@@ -20,14 +20,10 @@ def place(k):
     return np.array([1 + 0.1 * k, 2.0, 0.5])
 
 
-def write_bag(path, kind, packed=None):
-    """A bag with custom UWB ranges, IMU, true poses and odometry; `kind`: bag (ROS 1), db3 or mcap (ROS 2).
-
-    `packed`: the compression of its chunks, bz2 or lz4 of ROS 1; of ROS 2 zstd, with STORAGE for the chunks of MCAP,
-    FILE or MESSAGE.
-    """
+def write_bag(path, kind):
+    """A bag with custom UWB ranges, IMU, true poses and odometry; `kind`: bag (ROS 1), db3 or mcap (ROS 2)."""
     from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+    from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -37,10 +33,6 @@ def write_bag(path, kind, packed=None):
     types = store.types
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
     writer = Writer1(path) if kind == "bag" else Writer2(path, version=9, storage_plugin=plugin)
-    if packed is not None and kind == "bag":
-        writer.set_compression(Writer1.CompressionFormat[packed.upper()])
-    elif packed is not None:
-        writer.set_compression(CompressionMode[packed], CompressionFormat.ZSTD)
     topics = {
         "/uwb": "uwb_msgs/msg/Ranges", "/imu": "sensor_msgs/msg/Imu", "/vicon/cart": "geometry_msgs/msg/PoseStamped",
         "/odom": "nav_msgs/msg/Odometry",

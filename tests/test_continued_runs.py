@@ -11,7 +11,6 @@ import pytest
 from tests.catalogue import CASES
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.run.tracker import filter_batch
-from trackwright.trackers.recordings.trajectories import cut
 
 QUICK = ("fix-kf", "particles", "median", "das in the plane of the array")
 """One of each kind: a Kalman filter, random numbers, a window, composed trackers, a tracker without memory."""
@@ -36,38 +35,13 @@ def whole(request):
     return Whole(request.param)
 
 
-def _part(recording, start, stop):
-    """Rows of a recording under the same id, which random numbers depend on."""
-    return replace(cut(recording, start, stop), id=recording.id)
-
-
 def _leaves(estimates, rows=slice(None)):
     fields = ("mean", "cov_upper", "log_likelihood", "nis", "nis_dof", "wrapped", "status")
     return [np.asarray(x)[..., rows] for x in jax.tree_util.tree_leaves([getattr(estimates, f) for f in fields])]
 
 
-def _assert_same_bits(mine, other):
-    for a, b in zip(mine, other, strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 def _same(mine, other):
     return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(_leaves(mine), _leaves(other), strict=True))
-
-
-@pytest.mark.slow
-def test_one_row_at_a_time_gives_the_one_run_to_the_bit(whole):
-    state = None
-    for k in range(min(len(r) for r in whole.recordings)):
-        step = whole.tracker.run([_part(r, k, k + 1) for r in whole.recordings], initial=state)
-        state = step.final
-        one, row = _leaves(step), _leaves(whole.estimates, slice(k, k + 1))
-        if whole.case.reads == "multilateration":
-            # Rows are independent, and XLA sums over all of them at once in another order than over one.
-            for a, b in zip(one, row, strict=True):
-                np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
-        else:
-            _assert_same_bits(one, row)
 
 
 def test_a_seed_gives_the_same_numbers_again_and_another_seed_others_where_any_are_drawn(whole):

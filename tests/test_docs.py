@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import inspect
 import re
 import shutil
 import subprocess
@@ -259,19 +258,3 @@ def test_the_site_is_built_without_a_broken_link(tmp_path):
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "Smoothed" in "".join(page.read_text("utf-8") for page in (tmp_path / "api").glob("*.html"))
-
-
-@pytest.mark.parametrize("folder", ["trackers/core", "trackers/recordings"])
-def test_every_field_that_the_docstring_of_a_record_explains_exists(folder):
-    missing = []
-    for path in sorted((ROOT / folder).rglob("*.py")):
-        module = importlib.import_module(".".join(["trackwright", *path.relative_to(ROOT).with_suffix("").parts]))
-        for name, kind in inspect.getmembers(module, inspect.isclass):
-            fields = getattr(kind, "_fields", None) or list(getattr(kind, "__dataclass_fields__", ()))
-            if kind.__module__ != module.__name__ or not fields:
-                continue
-            known = {*fields, *dir(kind), *inspect.signature(kind).parameters}
-            explained = re.findall(r"((?:`\w+`(?:, | and )?)+):", inspect.getdoc(kind) or "")
-            named = {word for words in explained for word in re.findall(r"`(\w+)`", words)}
-            missing += [f"{module.__name__}.{name}: {word}" for word in named - known]
-    assert not missing

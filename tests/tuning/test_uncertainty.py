@@ -1,6 +1,6 @@
 """How sure a fit is: against closed forms and repeated experiments on normal numbers, of which everything is known."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +15,6 @@ from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareE
 from trackwright.tuning.parameters import Parameter, Prior, flatten, select_parameters
 from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import (
-    Optimum,
     Uncertainty,
     flat_components,
     kept_at_start,
@@ -221,17 +220,6 @@ def test_intervals_are_in_physical_units_of_every_kind():
     assert [float(x) for x in open_["share"]] == [0.0, 1.0]
 
 
-def _found(parameters, hessian, observed, sandwich=None, at_bound=None, distance_to_optimum=0.0, kept=None):
-    """How sure a fit is, made up: second derivatives, covariances, what rests on a bound, how far off it is."""
-    p = len(hessian)
-    point = Optimum(np.zeros(p), 0.0, np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])[:p], hessian,
-                    np.zeros((3, p)), 1.0, np.ones(3, bool), None, np.zeros(p))  # fmt: skip
-    nothing, none = np.full((p, p), np.nan), np.zeros(p, bool)
-    at_bound, kept = (none if flags is None else flags for flags in (at_bound, kept))
-    sandwich = nothing if sandwich is None else sandwich
-    return Uncertainty(parameters, point, observed, sandwich, none, at_bound | kept, 25, distance_to_optimum, kept)
-
-
 def _product(y, weights):
     """A problem that depends on several levels only through a·b^w…"""
     labels = "abc"[: len(weights)]
@@ -310,7 +298,7 @@ def test_an_interval_is_the_wider_of_curvature_and_scatter(numbers):
     problem, best = _sigma_and_mu(numbers)
     found = _uncertainty(problem, best)
     # where every trajectory's score vanishes, so does the scatter
-    flat = _found(problem.parameters, found.optimum.hessian, found.observed, 1e-9 * found.observed)
+    flat = replace(found, sandwich=1e-9 * found.observed)
     one, other = flat.intervals(by="curvature"), flat.intervals(by="scatter")
     assert float(np.diff(other["mu"])[0]) < 1e-3 * float(np.diff(one["mu"])[0])
     np.testing.assert_array_equal(flat.intervals()["mu"], one["mu"])

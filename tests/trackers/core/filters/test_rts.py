@@ -1,7 +1,6 @@
 """On linear models the smoothed rows are those of dense conditioning on all rows, or on those of the next seconds."""
 
 import dataclasses
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +11,7 @@ from tests.oracles import joint_conditioning, van_loan
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.algebra import Vector
-from trackwright.trackers.core.model.motion import AbstractMotion, ConstantVelocity, Kinematic
+from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosition, ConstantVelocity, Kinematic, Placed
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
@@ -45,23 +44,6 @@ class HalfSteps(AbstractMotion):
 
     def kick(self, state, inputs, dt, w):
         return state._replace(velocity=state.velocity + w * (SIGMA_A * jnp.sqrt(dt)))
-
-
-class Place(NamedTuple):
-    position: Vector
-
-
-def _place(x):
-    return Place(Vector(*x))
-
-
-class RandomWalk(AbstractMotion):
-    """One coordinate that walks at random."""
-
-    noise_dimension = 1
-
-    def step(self, state, inputs, dt, w):
-        return Place(state.position + w * (SIGMA_A * jnp.sqrt(dt)))
 
 
 def _constant_velocity(dt):
@@ -192,7 +174,13 @@ def test_one_component_alone_has_the_variance_of_errors_with_a_correlation_of_on
     rng, times, R, start = np.random.default_rng(3), np.arange(15) * 0.4, 2.0, 9.0 * np.eye(1)
     readings = rng.normal(size=(len(times), 1)), np.ones((len(times), 1), bool)
     sensors = {"z": LinearSensor(np.eye(1), np.array([np.sqrt(R)]), 1)}
-    tracker = Tracker(RandomWalk(), sensors, KnownStart(_place), track_loss=NEVER_LOST, lasting_errors=True)
+    tracker = Tracker(
+        ConstantPosition(SIGMA_A, 1),
+        sensors,
+        KnownStart(lambda x: Placed(Vector(*x))),
+        track_loss=NEVER_LOST,
+        lasting_errors=True,
+    )
     reported = Smoothed(tracker).run(recording(times, {"z": readings}, np.zeros(1), start)).covariance[:, 0, 0]
     steps = [(np.eye(1), SIGMA_A**2 * dt * np.eye(1)) for dt in np.diff(times)]
     every = [len(steps) - 1] * len(steps)

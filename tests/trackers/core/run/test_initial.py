@@ -100,21 +100,6 @@ def test_an_initial_belief_that_does_not_fit_is_refused_in_one_sentence(recordin
     assert "\n" not in str(caught.value)
 
 
-def test_random_numbers_come_from_the_seed_and_the_id_alone():
-    tracker = _tracker(tw.ParticleFilter(50))
-
-    def last(recordings, **kwargs):
-        return tracker.run(recordings, **kwargs).mean.position[0][..., -1]
-
-    one = _recording(10)
-    unnamed = last([one, one, one])
-    # Recordings without an id differ; a name has no influence.
-    assert len(set(unnamed.tolist())) == 3
-    np.testing.assert_array_equal(last([dataclasses.replace(one, name=str(k)) for k in range(3)]), unnamed)
-    np.testing.assert_array_equal(last([dataclasses.replace(one, id=k) for k in (2, 0, 1)]), unnamed[[2, 0, 1]])
-    assert not np.any(last([one, one, one], seed=1) == unnamed)
-
-
 def test_keys_differ_by_seed_and_by_id_up_to_64_bits():
     ids = [0, 1, 2**31, 2**32, 2**32 + 1, 2**64 - 1]
     keys = np.concatenate([trajectory_key_data(seed, ids) for seed in (0, 1, 2**32)], axis=1)
