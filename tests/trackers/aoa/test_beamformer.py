@@ -92,13 +92,6 @@ def test_capons_spectrum_is_that_of_the_loaded_inverse():
     np.testing.assert_allclose(capon(GRID, covariance), expected, rtol=1e-8)
 
 
-def test_musics_peak_is_sharper_than_capons_and_that_sharper_than_delay_and_sums():
-    phases = _phases(TRUE[0], np.random.default_rng(6), 0.1, rows=32)
-    powers = [np.mean(_das(phases), axis=0), capon(GRID, _covariance(phases)), music(GRID, _covariance(phases))]
-    widths = [np.sum(p > 0.5 * np.max(p)) for p in map(np.asarray, powers)]
-    assert widths[2] < widths[1] < widths[0]
-
-
 def test_a_flat_array_finds_directions_all_round_in_its_own_plane():
     grid = Grid.in_plane(FLAT_RING)
     heading = np.random.default_rng(7).uniform(-np.pi, np.pi, 50)

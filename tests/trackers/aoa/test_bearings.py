@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tests.catalogue import CALIBRATED
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
@@ -35,17 +36,7 @@ def _facing(position, target):
 
 def _station(position, rotation):
     """A station from its rotation matrix, array frame to world frame."""
-    w, V = np.linalg.eigh(_quaternion_form(rotation))
-    return Station(np.asarray(position, float), V[:, np.argmax(w)])
-
-
-def _quaternion_form(R):
-    """Bar-Itzhack's symmetric matrix, whose largest eigenvector is the quaternion w, x, y, z of R."""
-    K = np.zeros((4, 4))
-    K[0, 0] = np.trace(R)
-    K[0, 1:] = K[1:, 0] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    K[1:, 1:] = R + R.T - np.trace(R) * np.eye(3)
-    return K
+    return Station(np.asarray(position, float), Rotation.from_matrix(rotation).as_quat(scalar_first=True))
 
 
 STATIONS = [

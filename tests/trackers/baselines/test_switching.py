@@ -8,18 +8,14 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
-from trackwright.sim.agv import simulate_agv
-from trackwright.sim.corruptions import correlated_noise, mirrored_heights
-from trackwright.trackers.baselines.rows import mirror_trajectories
 from trackwright.trackers.baselines.switching import MirrorSensor, mirror_tracker
-from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.filters.imm import InteractingModels
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import GroundMotion, Kinematic
 from trackwright.trackers.core.model.tunable import Real
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.parts.fixes import FIXES
 
 PLANE, OFFSET, SHRINK, SIGMA, SIGMA_A, SIGMA_Z = 1.5, 0.3, 0.8, 0.15, 0.5, 0.4
@@ -145,17 +141,3 @@ def test_a_track_starts_on_the_side_of_its_first_fix(climbing):
     z, estimates, _ = climbing
     # Metres below the plane the mirror image fits equally well; only the first fix favours the true side.
     assert np.abs(estimates.mean.position[2] - z)[5:30].max() < 0.6
-
-
-@pytest.mark.slow
-def test_a_track_is_robust_to_heights_mirrored_for_seconds():
-    errors = {"mirror": mirrored_heights(2.5, 0.3, 3.0), "noise": correlated_noise(STILL)}
-    world = simulate_agv([0, 1, 2], rows=400, errors=errors)
-    assert not (world.fixes[:, 0, 2] > 2.5).any()  # every track starts on the true side
-    trajectories = list(mirror_trajectories(world.folder("flips"), True))
-    tracker = mirror_tracker(offset=0.0, shrink=1.0, sigma_vertical=0.1, sigma_z=0.3)
-    estimates = tracker.run(stack([trajectory.recording for trajectory in trajectories]))
-    z = np.stack([estimates[k].mean.position[2] for k in range(3)])[:, 20:]
-    # A third of the fixes is 2.6 m off; the other branch keeps a few percent of the belief.
-    assert np.abs(world.fixes[:, 20:, 2] - 1.2).max() > 2.5
-    assert np.abs(z - 1.2).max() < 0.5

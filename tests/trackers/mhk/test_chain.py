@@ -9,7 +9,7 @@ import pytest
 
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.tunable import freeze
-from trackwright.trackers.mhk.accelerations import AccelerationSphere, mean_acceleration
+from trackwright.trackers.mhk.accelerations import AccelerationSphere
 from trackwright.trackers.mhk.fusion import AccelerationFilter, chain_predicted, chain_updated
 
 STATIONARY = np.array([0.5, 0.3, 0.2])
@@ -60,30 +60,6 @@ def test_the_posterior_mean_is_bayes_rule_over_all_states(sigma):
     density = np.exp(-0.5 * (squares - squares.min()))
     expected = (probabilities * density) @ accelerations / (probabilities @ density)
     np.testing.assert_allclose(_mean(sigma, displacement, elapsed), expected, rtol=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "sigma", [pytest.param(0.3, marks=pytest.mark.slow), 0.03, pytest.param(0.002, marks=pytest.mark.slow)]
-)
-def test_many_trajectories_have_the_posterior_means_and_derivatives_of_each(sigma):
-    rings, precision = AccelerationSphere().rings(), 1.0 / sigma**2
-    displacements = 0.1 * np.random.default_rng(0).normal(size=(5, 3))
-    displacements[0] = 0.0
-
-    def mean(displacement, precision):
-        return mean_acceleration(rings, Vector(*displacement), jnp.asarray(0.08), precision).array()
-
-    one = jax.jit(mean)
-    each = [one(d, precision) for d in displacements]
-    every = jax.jit(jax.vmap(mean, in_axes=(0, None)))
-    np.testing.assert_allclose(every(displacements, precision), each, rtol=1e-9, atol=1e-12)
-    derivative = jax.jit(jax.jacfwd(every, argnums=1))(displacements, precision)
-    reverse = jax.jit(jax.jacrev(every, argnums=1))(displacements, precision)
-    step = 1e-5 * precision
-    numerical = (every(displacements, precision + step) - every(displacements, precision - step)) / (2 * step)
-    np.testing.assert_allclose(derivative, numerical, rtol=1e-5, atol=1e-9 / precision)
-    np.testing.assert_allclose(reverse, derivative, rtol=1e-5, atol=1e-9 / precision)
 
 
 def test_at_the_papers_rate_and_noise_a_displacement_carries_little_information():

@@ -2,12 +2,11 @@
 
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from tests.known_start import flat
-from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.mhk.tracker import STILL, mhk_tracker
 from trackwright.trackers.parts.fixes import FIXES
 
@@ -120,23 +119,3 @@ def test_the_estimated_acceleration_shortens_the_lag_of_an_accelerating_tag(reco
         tracker = mhk_tracker(sigma_a=0.1, sigma_displacement=sigma, window=1, speed_limit=1e3)
         errors.append(np.linalg.norm(flat(tracker.run(exact).mean)[10:, :3] - _path(times)[10:], axis=1).mean())
     assert errors[0] < 0.8 * errors[1]
-
-
-@pytest.mark.slow
-def test_a_stamped_estimate_is_judged_at_the_middle_fix_of_its_window(recording):
-    tracker = _tracker(stamped=True)
-
-    def score(output, truth):
-        true, known = truth["position"]
-        scored = known & (output.nis_dof > 0)
-        return (jnp.where(scored, sum((m - t) ** 2 for m, t in zip(output.mean.position, true, strict=True)), 0.0),)
-
-    (total,) = tracker.accumulate(stack([recording]), score)
-    means, _ = _oracle(recording, None)
-    fixes = np.flatnonzero(recording.readings[FIXES].seen[:, 0])
-    # The first full window starts the track and is not an update.
-    squares = [
-        np.sum((means[last, :3] - _path(recording.times)[middle]) ** 2)
-        for middle, last in pairwise(fixes[WINDOW - 1 :])
-    ]
-    np.testing.assert_allclose(np.asarray(total)[0], sum(squares), rtol=1e-7)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from tests.oracles import van_loan
-from tests.trackers.parts.biased_walks import inside_shares
 from trackwright.trackers.core.model.algebra import Vector, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases, damped_velocity
@@ -86,11 +85,3 @@ def test_at_a_belief_the_decay_of_a_bias_is_no_function_of_the_velocity():
     fixed = _motion().at(Gaussian(moving, jnp.zeros((N, N))))
     decays = [float(_after(fixed, state, 0.5).bias[0]) for state in (still, moving)]
     assert decays[0] == decays[1] == pytest.approx(0.1 * np.exp(-0.5 * (1 / TIME + 0.8 / LENGTH)), rel=1e-12)
-
-
-@pytest.mark.slow
-def test_ellipses_and_intervals_of_biases_hold_the_truth_of_simulated_walks():
-    positions, biases = inside_shares(200)
-    assert 0.90 < positions < 0.97
-    # The shrunk speed understates how fast the biases of a slow walker change.
-    assert 0.86 < biases < 0.97

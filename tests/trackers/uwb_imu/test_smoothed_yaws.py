@@ -71,17 +71,3 @@ def test_the_mean_of_the_mixture_is_the_components_weighted_by_likelihood(runs):
     estimated = flat(bank.mean)[1:]
     estimated[:, angle] += 2 * np.pi * np.round((mean - estimated)[:, angle] / (2 * np.pi))
     np.testing.assert_allclose(estimated, mean, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_the_covariance_of_the_mixture_is_that_within_and_between_components(runs):
-    bank, yaws = runs
-    evidence = np.array([one.log_likelihood.sum() for one in yaws])
-    weights = np.exp(evidence - np.logaddexp.reduce(evidence))
-    means = [flat(one.mean)[1:, :6] for one in yaws]
-    centre = weights[0] * means[0] + weights[1] * means[1]
-    expected = sum(
-        w * (one.covariance[1:, :6, :6] + (m - centre)[:, :, None] * (m - centre)[:, None])
-        for w, one, m in zip(weights, yaws, means, strict=True)
-    )
-    np.testing.assert_allclose(bank.covariance[1:, :6, :6], expected, rtol=1e-8, atol=1e-10)

@@ -1,18 +1,17 @@
 """One update: compressed and sequential against the joint update of the textbook."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.known_start import LinearSensor
 from tests.oracles import normal_log_density
 from trackwright.trackers.core.filters.ekf import ExtendedKalman, compressed, sequential_updates
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.covariance import Gaussian, matrix
 from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
-from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
+from trackwright.trackers.core.model.sensor import Reading
 
 # One by one, each of their operations would be compiled for itself.
 compressed, sequential_updates = jax.jit(compressed), jax.jit(sequential_updates, static_argnums=3)
@@ -115,23 +114,6 @@ def test_students_t_moves_less_the_farther_off_a_reading_is():
     assert moves[-1] < 0.01
 
 
-class _Position(AbstractSensor):
-    """x and y of a tag, m."""
-
-    sigma: Any
-
-    @property
-    def channels(self):
-        return Channel("x", "m"), Channel("y", "m")
-
-    def measure(self, view, inputs):
-        return list(view.position)
-
-    def residual(self, reading, predicted):
-        misses = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-        return independent(misses, [self.sigma] * 2, reading.seen)
-
-
 @pytest.mark.parametrize("form", [tuple, jnp.asarray])
 @pytest.mark.parametrize("far", [0.0, 1e5])
 def test_a_position_is_known_to_the_spacing_of_numbers(form, far):
@@ -142,7 +124,7 @@ def test_a_position_is_known_to_the_spacing_of_numbers(form, far):
         cov = np.diag([1.0, 1.0, 1e-12, 1e-12]).astype(np.float32)
         cov = jnp.asarray(cov) if form is not tuple else tuple(jnp.asarray(cov[np.triu_indices(4)]))
         mean = Kinematic(Vector(*(jnp.float32(far),) * 2), Vector(jnp.float32(0), jnp.float32(0)))
-        belief, sensor = Gaussian(mean, cov), _Position(jnp.float32(1e-6))
+        belief, sensor = Gaussian(mean, cov), LinearSensor(np.eye(2, 4, dtype=np.float32), [jnp.float32(1e-6)] * 2, 2)
 
         @jax.jit
         def updated(belief, values):
@@ -157,22 +139,6 @@ def test_a_position_is_known_to_the_spacing_of_numbers(form, far):
     assert float(variance) ** 0.5 < 0.02 if far else float(variance) ** 0.5 < 1e-6
 
 
-class _Sums(AbstractSensor):
-    """Position and velocity with these weights (4,), of which one number is measured, with 1 µm of noise."""
-
-    weights: Any
-
-    @property
-    def channels(self):
-        return (Channel("sum", "m"),)
-
-    def measure(self, view, inputs):
-        return [sum(w * x for w, x in zip(self.weights, [*view.position, *view.velocity], strict=True))]
-
-    def residual(self, reading, predicted):
-        return independent([reading.values[0] - predicted[0]], [1e-6], reading.seen)
-
-
 @pytest.mark.parametrize("form", [tuple, jnp.asarray])
 def test_variances_stay_positive_where_precise_readings_leave_large_ones_that_cancel(form):
     """Three of four directions are measured a hundred times each; every component keeps a variance of about 1."""
@@ -185,7 +151,9 @@ def test_variances_stay_positive_where_precise_readings_leave_large_ones_that_ca
         @jax.jit
         def updated(belief, row):
             reading = Reading([zero], [jnp.asarray(True)])
-            return ExtendedKalman().update(belief, ConstantVelocity(0.1, 2), _Sums(row), reading, {})[0]
+            return ExtendedKalman().update(
+                belief, ConstantVelocity(0.1, 2), LinearSensor(row[None], [jnp.float32(1e-6)], 1), reading, {}
+            )[0]
 
         for k in range(300):
             belief = updated(belief, jnp.asarray(rows[k % 3]))

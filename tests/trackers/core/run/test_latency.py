@@ -113,44 +113,11 @@ def _set(tracker, **values):
     return tracker.with_values({f"sensors.fixes.{name}": value for name, value in values.items()})
 
 
-@pytest.mark.slow
-def test_ellipses_with_an_unknown_latency_hold_the_truth_of_vehicles_that_differ_in_theirs():
-    """Delays are drawn, not modelled: normal ones, of which each vehicle has one."""
-    rng, std, n = np.random.default_rng(5), 0.2, 300
-    times = np.arange(60) * 0.1
-    recordings = []
-    for k in range(n):
-        angle, start = rng.uniform(0, 2 * np.pi), rng.normal(0, 3, 2)
-        way = np.array([np.cos(angle), np.sin(angle), 0.0]) * rng.uniform(0.5, 2.0)
-        path, late = np.append(start, 1.0) + times[:, None] * way, rng.normal(0.3, std) * way
-        readings = {FIXES: Readings(path - late + 0.1 * rng.normal(size=path.shape), np.ones(path.shape, bool))}
-        truth = {"position": (path, np.ones(len(path), bool))}
-        recordings.append(Recording(times, readings, {"height": np.ones(len(times))}, truth, id=k))
-    plain = fix_tracker(sigma_a=0.02, dof=None, planar=True)
-    share = {}
-    for assumed in (0.0, std):
-        for smooth in (False, True):
-            tracker = _set(plain, latency=0.3, latency_std=assumed)
-            estimates = (Smoothed(tracker) if smooth else tracker).run(recordings)
-            rows = slice(40, None)
-            error = np.stack(list(estimates.mean.position), axis=-1)[:, rows] - np.stack(
-                [
-                    [np.interp(estimates.times[k, rows], times, r.truth["position"][0][:, i]) for i in (0, 1)]
-                    for k, r in enumerate(recordings)
-                ]
-            ).swapaxes(1, 2)
-            cov = estimates.covariance[:, rows, :2, :2]
-            nees = np.einsum("kti,kti->kt", error, np.linalg.solve(cov, error[..., None])[..., 0])
-            share[assumed, smooth] = np.mean(nees < -2 * np.log(0.05))
-    assert max(share[0.0, False], share[0.0, True]) < 0.5
-    # Vehicles are independent, their rows hardly: the standard error is 1.3 %.
-    assert all(0.91 < share[std, smooth] < 0.99 for smooth in (False, True)), share
-
-
-def test_an_unknown_latency_adds_its_variance_times_the_squared_velocity_and_leaves_the_estimate():
+@pytest.mark.parametrize("of", [lambda tracker: tracker, Smoothed], ids=["filtered", "smoothed"])
+def test_an_unknown_latency_adds_its_variance_times_the_squared_velocity_and_leaves_the_estimate(of):
     recording, tracker = _recording(), fix_tracker()
-    without = _set(tracker, latency=0.2).run(recording)
-    with_it = _set(tracker, latency=0.2, latency_std=0.1).run(recording)
+    without = of(_set(tracker, latency=0.2)).run(recording)
+    with_it = of(_set(tracker, latency=0.2, latency_std=0.1)).run(recording)
     v = np.stack(list(without.mean.velocity), axis=-1)
     expected = without.covariance.copy()
     expected[:, :2, :2] += 0.1**2 * (v[:, :, None] * v[:, None, :] + without.covariance[:, 3:, 3:])

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.known_start import NEVER_LOST, KnownStart, flat, recording
+from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
 from tests.oracles import kalman
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
@@ -14,8 +14,8 @@ from trackwright.trackers.core.filters.particle.resampling import effective_samp
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.motion import ConstantPosition, Placed
-from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, independent
-from trackwright.trackers.core.model.tunable import Constant, Scale
+from trackwright.trackers.core.model.sensor import Reading
+from trackwright.trackers.core.model.tunable import Constant
 from trackwright.trackers.core.run.tracker import Tracker
 
 KEYS, ROWS = 200, 12
@@ -34,22 +34,12 @@ def _predicted(filter, belief, motion):
     return filter.predict(belief, motion, {}, 1.0)
 
 
-class Ruler(AbstractSensor):
-    sigma: Scale
-
-    @property
-    def channels(self):
-        return (Channel("x", "m"), Channel("y", "m"))
-
-    def measure(self, view, inputs):
-        return list(view.position)
-
-    def residual(self, reading, predicted):
-        differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-        return independent(differences, [self.sigma.value] * 2, reading.seen)
+def _ruler(sigma):
+    """A sensor of x and y."""
+    return LinearSensor(np.eye(2), [sigma] * 2, 2)
 
 
-class Wall(Ruler):
+class Wall(LinearSensor):
     """A sensor under which states of negative x are impossible."""
 
     def measure(self, view, inputs):
@@ -122,7 +112,7 @@ def test_weights_and_log_likelihood_are_those_of_bayes_rule():
         ParticleFilter(4),
         _still(np.log(w)),
         ConstantPosition(Constant(1.0), 2),
-        Ruler(Constant(0.5)),
+        _ruler(0.5),
         _reading(1.2, 0.1),
     )
     density = np.exp(-0.5 * ((1.2 - np.arange(4)) ** 2 + 0.1**2) / 0.25) / (2 * np.pi * 0.25)
@@ -139,7 +129,7 @@ def test_states_that_a_reading_rules_out_have_weight_zero_for_good():
     states = Placed(Vector(jnp.array([-1.0, 0.5, 1.0, -2.0]), jnp.zeros(4)))
     belief = Particles(states, jnp.full(4, -np.log(4.0)), jax.random.key_data(jax.random.key(1)))
     motion, filter = ConstantPosition(Constant(1e-12), 2), ParticleFilter(4, fraction=0.9)
-    once, innovation = _updated(filter, belief, motion, Wall(Constant(1.0)), _reading(0.7))
+    once, innovation = _updated(filter, belief, motion, Wall(np.eye(2), [1.0] * 2, 2), _reading(0.7))
     assert np.all(np.exp(once.log_weights[np.array([0, 3])]) == 0)
     assert np.isfinite(innovation.log_likelihood)
     twice = _predicted(filter, once, motion)
@@ -150,7 +140,7 @@ def test_where_all_states_are_ruled_out_the_belief_is_not_finite():
     states = Placed(Vector(jnp.full(4, -1.0), jnp.zeros(4)))
     belief = Particles(states, jnp.full(4, -np.log(4.0)), jax.random.key_data(jax.random.key(1)))
     after, _ = _updated(
-        ParticleFilter(4), belief, ConstantPosition(Constant(1.0), 2), Wall(Constant(1.0)), _reading(0.7)
+        ParticleFilter(4), belief, ConstantPosition(Constant(1.0), 2), Wall(np.eye(2), [1.0] * 2, 2), _reading(0.7)
     )
     assert not np.any(np.isfinite(after.log_weights))
 
@@ -179,7 +169,7 @@ class Oracle:
         seen = rng.random((ROWS, 2)) > 0.2
         mean, cov = np.array([0.3, -0.2]), np.diag([0.5, 0.8])
         tracker = Tracker(
-            ConstantPosition(0.6, 2), {"a": Ruler(Scale(0.5))},
+            ConstantPosition(0.6, 2), {"a": _ruler(0.5)},
             KnownStart(lambda x: Placed(Vector(x[0], x[1]))), ParticleFilter(1600), NEVER_LOST,
         )  # fmt: skip
         trajectories = [recording(times, {"a": (values, seen)}, mean, cov, name=f"key {k}") for k in range(KEYS)]
