@@ -83,6 +83,23 @@ def of_place(seed, positions, sigma):
     return sigma * np.sqrt(2.0 / 100) * np.cos(positions[:, :2] @ waves + phases).sum(axis=1)
 
 
+def truth_of(times, positions):
+    """The table of true positions (T, 3), m."""
+    return pl.DataFrame({"t_s": times, "tag": "1"} | dict(zip(("x_m", "y_m", "z_m"), positions.T, strict=True)))
+
+
+def ranged(name, times, positions, errors):
+    """A recording of ranges with these errors (T,), m, made for each anchor in turn by `errors()`."""
+    rows = [
+        pl.DataFrame(
+            {"t_s": times, "tag": "1", "anchor": a, "range_m": np.linalg.norm(positions - p, axis=1) + errors()}
+        )
+        for a, p in ANCHORS.items()
+    ]
+    tables = {"ranges": pl.concat(rows).sort("t_s"), "truth": truth_of(times, positions)}
+    return RecordingFolder(name, None, RIG, tables)
+
+
 def recording(rng, name, calibration, seconds=60.0, outliers=0.0, field=None):
     """A walk with bearings, whose errors last, and ranges, some of them `outliers` m too long.
 
@@ -107,9 +124,8 @@ def recording(rng, name, calibration, seconds=60.0, outliers=0.0, field=None):
         errors += outliers * (rng.random(len(times)) < 0.1)
         measured = distances * (1 + slope) + bias + errors
         ranges.append(pl.DataFrame({"t_s": times, "tag": "1", "anchor": anchor, "range_m": measured}))
-    x, y, z = positions.T
-    truth = pl.DataFrame({"t_s": times, "tag": "1", "x_m": x, "y_m": y, "z_m": z})
-    tables = {"bearings": pl.concat(bearings).sort("t_s"), "ranges": pl.concat(ranges).sort("t_s"), "truth": truth}
+    tables = {"bearings": pl.concat(bearings).sort("t_s"), "ranges": pl.concat(ranges).sort("t_s")}
+    tables["truth"] = truth_of(times, positions)
     return RecordingFolder(name, None, RIG, tables)
 
 

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 from scipy.optimize import minimize
 
-from tests.tuning.calibration_worlds import ANCHORS, RIG, lasting, recording, standardised, walk, world
+from tests.tuning.calibration_worlds import RIG, lasting, ranged, recording, standardised, truth_of, walk, world
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Station, Tag
 from trackwright.trackers.recordings.calibration import ANGLE_PRIOR, RANGE_PRIOR
@@ -62,13 +62,7 @@ def test_each_recording_has_the_same_weight():
 def test_the_spread_of_ranges_is_the_scale_of_their_errors_however_large_the_biases():
     rng = np.random.default_rng(11)
     times, positions = walk(rng, 200.0)
-    rows = [
-        pl.DataFrame({"t_s": times, "tag": "1", "anchor": a, "range_m": np.linalg.norm(positions - p, axis=1) + errors})
-        for a, p in ANCHORS.items()
-        for errors in [0.2 * rng.normal() + 0.05 * rng.standard_t(4.0, size=len(times))]
-    ]
-    truth = pl.DataFrame({"t_s": times, "tag": "1"} | dict(zip(("x_m", "y_m", "z_m"), positions.T, strict=True)))
-    folder = RecordingFolder("walk", None, RIG, {"ranges": pl.concat(rows).sort("t_s"), "truth": truth})
+    folder = ranged("walk", times, positions, lambda: 0.2 * rng.normal() + 0.05 * rng.standard_t(4.0, size=len(times)))
     assert calibrate(folder).range_spread == pytest.approx(0.05, rel=0.05)
 
 
@@ -76,16 +70,8 @@ def _standing(seconds, place):
     """A tag that stands still, with ranges whose errors are those of the place."""
     rng = np.random.default_rng(7)
     times = np.arange(0.0, seconds, 0.1)
-    position = np.array([*place, 1.0])
-    rows = [
-        pl.DataFrame({"t_s": times, "tag": "1", "anchor": a, "range_m": np.linalg.norm(position - p) + 0.1 + noise})
-        for a, p in ANCHORS.items()
-        for noise in [0.05 * rng.normal() + 0.01 * rng.normal(size=len(times))]
-    ]
-    x, y, z = position
-    truth = pl.DataFrame({"t_s": times, "tag": "1"}).with_columns(x_m=pl.lit(x), y_m=pl.lit(y), z_m=pl.lit(z))
-    tables = {"ranges": pl.concat(rows).sort("t_s"), "truth": truth}
-    return RecordingFolder(f"at {place}", None, RIG, tables)
+    positions = np.tile([*place, 1.0], (len(times), 1))
+    return ranged("still", times, positions, lambda: 0.1 + 0.05 * rng.normal() + 0.01 * rng.normal(size=len(times)))
 
 
 def test_the_bias_of_a_tag_is_told_apart_from_those_of_the_anchors():
@@ -139,11 +125,8 @@ def test_a_calibrated_angle_increases_although_the_readings_turn_back():
     true = station.angles(positions)
     azimuth = np.sin(2.6 * true[:, 0])
     columns = {"azimuth_rad": azimuth, "elevation_rad": true[:, 1]}
-    x, y, z = positions.T
-    tables = {
-        "bearings": pl.DataFrame({"t_s": times, "tag": "1", "station": "north", **columns}),
-        "truth": pl.DataFrame({"t_s": times, "tag": "1", "x_m": x, "y_m": y, "z_m": z}),
-    }
+    bearings = pl.DataFrame({"t_s": times, "tag": "1", "station": "north", **columns})
+    tables = {"bearings": bearings, "truth": truth_of(times, positions)}
     one = calibrate(RecordingFolder("turning", None, RIG, tables)).stations["north"]
     mesh = np.stack(np.meshgrid(np.linspace(-3.0, 3.0, 301), np.linspace(-1.5, 1.5, 13), indexing="ij"), axis=-1)
     slopes = np.diff(one.measured(mesh)[..., 0], axis=0) / (6.0 / 300)
@@ -158,11 +141,8 @@ def test_azimuths_beyond_half_a_turn_are_compared_the_short_way_round():
     azimuth = (angles[:, 0] + 0.2 + lasting(rng, times, positions, 0.02) + np.pi) % (2 * np.pi) - np.pi
     assert (np.abs(azimuth - angles[:, 0]) > np.pi).any()
     columns = {"azimuth_rad": azimuth, "elevation_rad": angles[:, 1]}
-    x, y, z = positions.T
-    tables = {
-        "bearings": pl.DataFrame({"t_s": times, "tag": "1", "station": "S", **columns}),
-        "truth": pl.DataFrame({"t_s": times, "tag": "1", "x_m": x, "y_m": y, "z_m": z}),
-    }
+    bearings = pl.DataFrame({"t_s": times, "tag": "1", "station": "S", **columns})
+    tables = {"bearings": bearings, "truth": truth_of(times, positions)}
     rig = replace(RIG, stations={"S": behind})
     one = calibrate(RecordingFolder("round", None, rig, tables)).stations["S"]
     assert one.coefficients[0, 0] == pytest.approx(0.2, abs=0.05)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import json
 import shutil
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import polars as pl
 import pytest
 
 from tests.experiments.cli.small_archive import recording, write_archive
+from tests.experiments.jobs.deadly import Deadly
 from tests.in_process import PLAIN, assert_refused, assert_refused_last, trackwright
 from trackwright.experiments.cli import archive as command
 from trackwright.experiments.cli import tracking
-from trackwright.experiments.jobs.executors import WorkerExecutor, environment
+from trackwright.experiments.jobs.executors import environment
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import evaluate
@@ -220,24 +221,11 @@ def test_recordings_of_one_name_are_named_by_their_paths_and_runs_of_archives_co
     assert "Differences from median" in said.out
 
 
-class KilledWorker(Exception):  # noqa: N818 - the name in Dask
-    """That of Dask."""
-
-
 @contextmanager
 def _elsewhere(cluster):
     """Workers as those of a cluster, in threads; one recording ends every worker that tracks it."""
-
-    class Deadly(WorkerExecutor):
-        def submit(self, function, *rest):
-            if rest[-1].name == "walk-01":
-                ended = Future()
-                ended.set_exception(KilledWorker("walk-01"))
-                return ended
-            return super().submit(function, *rest)
-
     with ThreadPoolExecutor(2) as threads:
-        yield Deadly(threads, environment())
+        yield Deadly(threads, environment(), lambda path: path.name == "walk-01")
 
 
 def test_a_cluster_computes_the_same_bits_and_a_recording_that_ends_workers_costs_its_own_line(tmp_path, monkeypatch):

@@ -14,10 +14,9 @@ from tests.broken import BROKEN
 from tests.faulty import good_tables, with_table, write_good
 from tests.in_process import PLAIN, assert_refused, trackwright
 from trackwright.sim import worlds
-from trackwright.sim.stations import facing
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.rig import Rig, Station, Tag
-from trackwright.trackers.recordings.folder import RecordingFolder, Selection, read_recording, write_recording
+from trackwright.trackers.core.model.rig import Tag
+from trackwright.trackers.recordings.folder import Selection, read_recording, write_recording
 
 BEARINGS = ("station", "azimuth_rad", "elevation_rad", "std_azimuth_rad", "std_elevation_rad")
 
@@ -104,26 +103,18 @@ def test_bearing_trackers_write_azimuth_and_elevation_per_station(simulated, tmp
 
 @pytest.mark.parametrize("options", [(), ("--free-height",)])
 def test_bearings_of_a_walk_are_tracked_at_the_known_height_or_estimate_it(tmp_path, options):
-    rng, times = np.random.default_rng(8), np.round(np.arange(28) * 0.2, 6)
-    place = np.stack([3 + 1.5 * np.cos(0.4 * times), 2.5 + 1.2 * np.sin(0.4 * times), 0 * times + 1.2], axis=1)
-    corners = {"NE": (6.0, 5.0, 2.4), "SE": (6.0, 0.0, 2.3), "SW": (0.0, 0.0, 2.4), "NW": (0.0, 5.0, 2.2)}
-    middle = np.array([3.0, 2.5, 1.2])
-    stations = {k: Station(np.array(p), facing(np.array(p), middle, (0.0, 0.0, 1.0))) for k, p in corners.items()}
-    seen = {k: s.angles(place) + np.deg2rad(2.0) * rng.normal(size=(28, 2)) for k, s in stations.items()}
-    rows = [(t, "walker", name, *seen[name][k]) for k, t in enumerate(times) for name in stations]
-    columns = ["t_s", "tag", "station", "azimuth_rad", "elevation_rad"]
-    truth = {"t_s": times, "tag": ["walker"] * 28} | dict(zip(("x_m", "y_m", "z_m"), place.T, strict=True))
-    tables = {"bearings": pl.DataFrame(rows, columns, orient="row"), "truth": pl.DataFrame(truth)}
-    rig = Rig("room", stations=stations, tags={"walker": Tag(1.2)})
-    write_recording(RecordingFolder("room", None, rig, tables), tmp_path / "room")
+    folder = worlds.fusion(n=1, seed=8, rows=28, stations=4, sigma_angle=0.03, bias_angle=0.0, lost=0.0).folder()
+    height = folder.tables["truth"]["z_m"][0]
+    tables = {name: folder.tables[name] for name in ("bearings", "truth")}
+    write_recording(replace(folder, rig=replace(folder.rig, tags={"0": Tag(height)}), tables=tables), tmp_path / "room")
     said = trackwright("track", tmp_path / "room", *options, *PLAIN, "--out", tmp_path / "out")
     assert "tracker: bearings (" in said.err
     tracks, metrics = _tracks(tmp_path / "out"), _overall(tmp_path / "out")
     assert tracks.height == 28  # four stations at once: one estimate for each time
-    assert ((tracks["z_m"] == 1.2) & (tracks["std_z_m"] == 0)).all() == (not options)
+    assert ((tracks["z_m"] == height) & (tracks["std_z_m"] == 0)).all() == (not options)
     assert ("3-D RMSE" in " ".join(said.out.split())) <= bool(options), "a given height is not the tracker's"
     # The defaults expect stations with biases of 0.2 rad, which these have not.
-    assert metrics["rmse_m"] < 0.25
+    assert metrics["rmse_m"] < 0.3
 
 
 def test_a_part_of_a_recording_is_tracked_and_of_estimates_evaluated(room, tmp_path):

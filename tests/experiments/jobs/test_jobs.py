@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from tests.experiments.jobs.deadly import Deadly
 from tests.experiments.monte_carlo.small_study import TOML
 from tests.in_process import assert_refused, trackwright
-from trackwright.experiments.jobs.executors import Threads, WorkerExecutor, cluster_executor, environment
+from trackwright.experiments.jobs.executors import Threads, cluster_executor, environment
 from trackwright.experiments.jobs.store import Store, run
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -31,21 +32,6 @@ class Numbers(Store):
         return {self.folder / f"{item}.txt": str(result)}
 
 
-class KilledWorker(Exception):  # noqa: N818 - the name in Dask
-    pass
-
-
-class Deadly(WorkerExecutor):
-    """Workers, in threads, that the part of 6 ends."""
-
-    def submit(self, function, *rest):
-        if rest[-1] != 6:
-            return super().submit(function, *rest)
-        ended = Future()
-        ended.set_exception(KilledWorker())
-        return ended
-
-
 def _number(item):
     if item == 2:
         raise UnusableInput("two")
@@ -58,7 +44,9 @@ def _found(items, store, executor, *failed):
     return found
 
 
-@pytest.mark.parametrize("where", [Threads, lambda: Deadly(ThreadPoolExecutor(1), environment())])
+@pytest.mark.parametrize(
+    "where", [Threads, lambda: Deadly(ThreadPoolExecutor(1), environment(), lambda item: item == 6)]
+)
 def test_what_the_store_lacks_is_computed_and_a_bad_part_costs_itself_alone(tmp_path, where):
     store = Numbers(tmp_path)
     store.keep(5, 55)

@@ -15,6 +15,7 @@ import polars as pl
 from tests.faulty import write_good
 from trackwright.sim.corruptions import white_noise
 from trackwright.sim.ranging import CORNERS, chamber, simulate_differences
+from trackwright.sim.stations import facing
 from trackwright.trackers.core.model.rig import Rig, Station, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 
@@ -82,12 +83,8 @@ AXES = ("x_m", "y_m", "z_m")
 
 def _facing(x: float, y: float) -> Station:
     """A level station 2.5 m high that looks at the middle of the hall."""
-    boresight = np.array([6.0 - x, 4.0 - y, 0.0]) / np.hypot(6.0 - x, 4.0 - y)
-    up = np.array([0.0, 0.0, 1.0])
-    R = np.stack([np.cross(up, boresight), up, boresight], axis=1)
-    w = np.sqrt(1 + np.trace(R)) / 2
-    q = np.array([w, *(np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4 * w))])
-    return Station(np.array([x, y, 2.5]), q)
+    place = np.array([x, y, 2.5])
+    return Station(place, facing(place, np.array([6.0, 4.0, 2.5]), (0.0, 0.0, 1.0)))
 
 
 @cache
