@@ -20,11 +20,9 @@ from tests.oracles.quadrature import (
     halt_gradient,
     halt_log_likelihood,
 )
-from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.line.fixes import FIXES
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import PathOutputMap
 
@@ -73,43 +71,13 @@ def test_the_score_form_is_unbiased_by_walls(scores):
     assert _deviation(scores) < 4
 
 
-def _recording(rows, key):
-    """The corridor's first fixes at these seconds, the fix of a second on the first of its rows."""
-    fixes = np.vstack([np.zeros((1, 2)), corridor_fixes(25)])[rows]
-    seen = np.concatenate([[False], np.diff(rows) > 0])
-    return Recording(rows.astype(float), {FIXES: Readings(fixes, np.stack([seen] * 2, axis=1))}, name=f"key {key}")
-
-
-@pytest.fixture(scope="module")
-def marginal():
-    """Marginal scores of all 25 fixes and of the first four, plain and with rows that take no time; 64 keys of each."""
-    kinds = [np.arange(26), np.arange(5), np.array([0, 1, 1, 2, 3, 3, 4])]
-    batch = stack([_recording(rows, key) for rows in kinds for key in range(KEYS)])
-    return np.split(marginal_gradients(corridor_tracker(PARTICLES // 4), batch, CORRIDOR_TUNABLES).gradient[0], 3)
-
-
 @pytest.mark.slow
-def test_rows_of_padding_do_not_change_the_marginal_score():
-    short, long = (_recording(np.arange(rows), 0) for rows in (3, 5))
-    tracker = corridor_tracker(8)
-    alone, beside = (marginal_gradients(tracker, stack(r), CORRIDOR_TUNABLES) for r in ([short], [short, long]))
-    assert beside.gradient[0, 0] == pytest.approx(alone.gradient[0, 0], rel=1e-5)
-    assert beside.gradient[0, 1] != pytest.approx(alone.gradient[0, 0], rel=0.01)
-
-
-@pytest.mark.slow
-def test_the_marginal_score_scatters_less_than_half_as_much_as_the_same_particles_would(marginal, scores):
+def test_the_marginal_score_scatters_less_than_half_as_much_as_the_same_particles_would(scores):
+    tracker = corridor_tracker(PARTICLES // 4)
+    marginal = marginal_gradients(tracker, corridor_batch(25, KEYS), CORRIDOR_TUNABLES).gradient[0]
     # The bias of 100 particles, some 0.1 of −8.1, is one standard error.
-    assert _deviation(marginal[0]) < 5
-    assert marginal[0].std() < 0.5 * 2 * scores.std()
-
-
-@pytest.mark.slow
-def test_rows_in_no_time_and_without_readings_do_not_change_the_marginal_score(marginal):
-    _, plain, twice = marginal
-    exact = corridor_gradient(corridor_fixes(25)[:4])[0]
-    for found in (plain, twice):
-        assert abs(found.mean() - exact) < 4 * found.std() / np.sqrt(KEYS)
+    assert _deviation(marginal) < 5
+    assert marginal.std() < 0.5 * 2 * scores.std()
 
 
 def test_the_marginal_score_is_refused_where_the_noise_does_not_reach_the_state():

@@ -97,10 +97,6 @@ def test_a_walk_at_two_heights_finds_the_anchors_and_a_flat_one_refuses_their_he
     assert flat.mirrored.all()
     assert all("not determined: above or below the walk" in flat.verdict(name) for name in flat.names)
     assert "two heights" in flat.notes[-1]
-    lines = str(flat).splitlines()
-    assert sum(line.split()[0] in flat.names for line in lines if line) == len(flat.names)
-    assert max(map(len, lines)) <= 120
-    assert len(repr(flat)) < 200
     # Those of the frame define it, and stay on it.
     assert (flat.positions[:2, 1] == 0.0).all()
     assert (flat.positions[0, :2] == 0.0).all()

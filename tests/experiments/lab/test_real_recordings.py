@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 import trackwright as tw
-from trackwright.experiments.lab.validation import levels, sites
 from trackwright.experiments.lab.validation import real_recordings as real
+from trackwright.experiments.lab.validation import sites
 
 
 @pytest.fixture
@@ -41,17 +41,3 @@ def test_a_recording_alone_of_its_installation_is_calibrated_half_by_half(drones
     parts, _, on = real.prepared("iasl-drone-8", "uwb", "calibrated")
     assert len(parts) == 2
     assert on == "the other half"
-
-
-def test_levels_without_a_site_are_set_for_every_anchor(drones):
-    _, named, on = real.prepared("iasl-drone-8", "uwb", "other sites")
-    found = levels.left_out("uwb", "iasl-drone-8")
-    assert on == "levels.csv"
-    assert float(named.tunables["sensors.ranges.sigma_r"].value) == pytest.approx(found["sigma_r"][0])
-
-
-def test_every_setting_of_a_recording_is_a_case(drones):
-    names = [case.name for case in real.cases()]
-    settings = ("defaults", "other sites", "calibrated")
-    of_uwb = [f"iasl-drone-8 / uwb / {base}{smoothed}" for base in settings for smoothed in ("", " smoothed")]
-    assert [name for name in names if name.startswith("iasl-drone-8 / uwb /")] == of_uwb

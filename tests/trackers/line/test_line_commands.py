@@ -10,9 +10,6 @@ from trackwright.sim.line import simulate_line
 from trackwright.trackers.catalogue import TRACKERS, spec_of
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.evaluation.evaluate import evaluate
-from trackwright.trackers.line import rows as line
-from trackwright.trackers.line.motion import HaltingMotion, LineMotion
-from trackwright.trackers.line.rows import path_of
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 from trackwright.trackers.recordings.tracks import track
 
@@ -69,22 +66,6 @@ def test_ranges_to_one_anchor_after_the_other_give_the_position_on_the_path():
 
 # The best of the recordings' own baselines, tuned on the truth, is 0.034, 0.342 and 1.488 m.
 LARGEST = {"ngbui-line-1-1": 0.045, "ngbui-line-2-1": 0.10, "ngbui-line-3-1": 0.5}
-
-
-@pytest.mark.slow
-def test_the_halting_motion_overshoots_rests_less(monkeypatch):
-    world = simulate_line("halts", 24, seed=9)
-    folder, overshoot = world.folder("halts"), {}
-    for make in (LineMotion, HaltingMotion):
-        monkeypatch.setattr(line, "line_motion", lambda path, make=make: make(path, 0.05))
-        tracks, _ = _tracked([folder], "line-grid")
-        rows = np.searchsorted(world.times, tracks["t_s"].to_numpy() - 1e-6)
-        true = world.arclength[tracks["tag"].cast(pl.Int64).to_numpy(), rows]
-        arclength, _ = path_of(folder).nearest(tracks.select("x_m", "y_m").to_numpy())
-        resting = np.abs(true[:, None] - [4.05, 6.159, 10.209, 12.295]).min(axis=1) < 1e-9
-        overshoot[make] = np.mean((arclength - true)[resting])
-    # 24 tags x 4 rests: 0.15 m without, 0.085 m with.
-    assert overshoot[HaltingMotion] < 0.7 * overshoot[LineMotion]
 
 
 @pytest.mark.slow

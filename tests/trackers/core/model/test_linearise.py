@@ -1,16 +1,14 @@
 """Sparse Jacobians against jax's own dense ones, and the zeros that structure promises."""
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from trackwright.trackers.core.model.algebra import Vector
-from trackwright.trackers.core.model.linearise import jacobian, linearise
+from trackwright.trackers.core.model.linearise import linearise
 from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic
-from trackwright.trackers.core.model.state import Rotation, coordinates, local, wrap
+from trackwright.trackers.core.model.state import Rotation, wrap
 
 POINT = [0.7, -1.3, 2.1]
 
@@ -82,34 +80,3 @@ def test_a_constant_velocity_step_has_its_structural_zeros_and_ones():
     assert [sorted(row) for row in rows] == [[0, 2, 4, 6], [1, 3, 5, 7], [2, 4], [3, 5]]
     # A one that follows from the structure is a Python number: multiplying with it costs nothing.
     assert all(type(rows[k][k]) is float and rows[k][k] == 1.0 for k in range(4))
-
-
-class Moving(NamedTuple):
-    position: Vector
-    attitude: Rotation
-    still: jnp.ndarray
-
-
-@pytest.mark.slow
-def test_the_jacobian_of_a_moving_body_is_that_of_jacfwd_in_fewer_columns():
-    rng = np.random.default_rng(3)
-    state = Moving(Vector(*rng.normal(size=3)), Rotation.exp(rng.normal(size=3)), jnp.asarray(rng.normal(size=4)))
-    state = jax.tree_util.tree_map(jnp.asarray, state)
-    point, rebuild = coordinates(state)
-    n = len(point)
-
-    def step(*values):
-        before, w = rebuild(values[:n]), values[n:]
-        turned = before.attitude @ Rotation.exp(Vector(*w[:3]) * 0.2 + Vector(0.1, -0.3, 0.2))
-        moved = before.position + turned.apply(Vector(0.5, -0.2, 0.9)) + Vector(w[3], w[4], 0.0) * 0.3
-        return Moving(moved, turned, before.still.at[0].add(w[5]))
-
-    noise = [jnp.zeros(())] * 6
-    after, found = jacobian(step, [*point, *noise])
-    expected = jax.jacfwd(lambda x: jnp.stack(local(after, step(*x))))(jnp.stack([*point, *noise]))
-    both = found.transposed(slice(n), slice(n + 6)).T
-    np.testing.assert_allclose(both, expected, atol=1e-12)
-    np.testing.assert_array_equal(found.structure[:3, :3], np.eye(3))
-    assert len(found.sums) < n + 6
-    squares = np.sum(np.square(expected[:, n:]), axis=1)
-    np.testing.assert_allclose(found.squares(slice(n), slice(n, n + 6)), squares, atol=1e-12)

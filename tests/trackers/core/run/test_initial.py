@@ -80,23 +80,18 @@ def test_one_trajectory_of_several_continues_alone():
 
 
 @pytest.mark.parametrize(
-    ("recordings", "initial", "parts"),
+    ("recordings", "initial", "part"),
     [
-        (
-            lambda: [_recording(5), _recording(5)],
-            lambda: [_prior()[0]],
-            ["1 beliefs for 2 recordings", "one Gaussian for"],
-        ),
-        (lambda: [_recording(5)], lambda: ["prior"], ["`initial`", "expected one Gaussian"]),
-        (lambda: [_recording(5)] * 2, lambda: _tracker().run(_recording(5)).final, ["after 1 recordings, found 2"]),
-        (lambda: _recording(5), lambda: _tracker().run(_recording(5)).final, ["begins at", "expected later rows"]),
-        (lambda: tw.stack([_recording(5)]), lambda: _prior()[0], ["found a Batch", "`tracker.scan`"]),
+        (lambda: [_recording(5)] * 2, lambda: [_prior()[0]], "1 beliefs for 2 recordings"),
+        (lambda: [_recording(5)], lambda: ["prior"], "expected one Gaussian"),
+        (lambda: [_recording(5)] * 2, lambda: _tracker().run(_recording(5)).final, "after 1 recordings, found 2"),
+        (lambda: _recording(5), lambda: _tracker().run(_recording(5)).final, "expected later rows"),
+        (lambda: tw.stack([_recording(5)]), lambda: _prior()[0], "found a Batch"),
     ],
 )
-def test_an_initial_belief_that_does_not_fit_is_refused_in_one_sentence(recordings, initial, parts):
-    with pytest.raises(tw.UnusableInput) as caught:
+def test_an_initial_belief_that_does_not_fit_is_refused_in_one_sentence(recordings, initial, part):
+    with pytest.raises(tw.UnusableInput, match=part) as caught:
         _tracker().run(recordings(), initial=initial())
-    assert all(part in str(caught.value) for part in parts)
     assert "\n" not in str(caught.value)
 
 
