@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from trackwright.tuning.checkpoint import to_arrays
 from trackwright.tuning.fitting import FitOptions, Progress, fit
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.optimisation import LBFGS, PATIENCE, Adam
-from trackwright.tuning.parameters import flatten, select_parameters, with_parameters
+from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
@@ -25,39 +23,6 @@ NLL = NegativeLogLikelihood()
 def _problem(tracker, recordings, patterns, objective=NLL, rows=None):
     parameters = select_parameters(tracker, patterns)
     return Problem(tracker, [stack(recordings, rows)], objective, parameters, 512), flatten(parameters)
-
-
-def _assert_gradient_is_the_central_difference(problem, vector, step=1e-5):
-    evaluation = problem.evaluate(vector)
-    gradient = evaluation.gradients[0]
-    assert problem.n_excluded(evaluation) == 0
-    shifts = step * np.eye(len(vector))
-    up, down = np.split(problem.values(np.concatenate([vector + shifts, vector - shifts])), 2)
-    numeric = (up - down) / (2 * step)
-    assert (np.abs(gradient) > 1e-6).all()
-    # the differences' own error, step² and rounding / step, is about 1e-10
-    np.testing.assert_allclose(gradient, numeric, rtol=1e-6, atol=1e-9)
-
-
-def test_the_gradient_of_the_root_mean_square_error_is_the_central_difference():
-    problem, vector = _problem(line_tracker(), walks([40] * 8, 2), LEVELS, RootMeanSquareError(dimensions=1))
-    _assert_gradient_is_the_central_difference(problem, vector)
-
-
-def _reverse(problem, vector):
-    """The gradient by reverse mode through the whole scan."""
-
-    def objective(v):
-        tracker = with_parameters(problem.tracker, problem.parameters, v)
-        each = [tracker.accumulate(part, problem.objective.terms) for part in problem.chunks]
-        return problem.objective.value([sum(jnp.sum(s) for s in sums) for sums in zip(*each, strict=True)])
-
-    return jax.jit(jax.grad(objective))(jnp.asarray(vector))
-
-
-def test_forward_and_reverse_mode_agree_on_the_line():
-    problem, vector = _problem(line_tracker(), walks([12, 15], 2), "*")
-    np.testing.assert_allclose(problem.evaluate(vector).gradients[0], _reverse(problem, vector), rtol=1e-11, atol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -82,17 +47,6 @@ def test_noise_levels_are_recovered_from_starts_wrong_by_a_factor_of_ten(optimis
 @pytest.fixture(scope="module")
 def line_world():
     return stack(walks([40] * 8, 3))
-
-
-@pytest.mark.slow
-def test_tied_tunables_are_fitted_as_one(line_world):
-    both = fit(line_tracker(), line_world, NLL, "tied:sensors.gauge.[ob]*", FitOptions(steps=20))
-    alone = fit(line_tracker(), line_world, NLL, "sensors.gauge.offset", FitOptions(steps=20))
-    values = {k: float(v.value) for k, v in tunables(both.tracker).items()}
-    assert values["sensors.gauge.offset"] == values["sensors.gauge.bias"]
-    # two equal offsets, each half of the one; both fits end with Newton steps on a quadratic
-    assert values["sensors.gauge.offset"] == pytest.approx(float(alone.values["sensors.gauge.offset"]) / 2, rel=1e-6)
-    assert both.value == pytest.approx(alone.value, rel=1e-12)
 
 
 def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world):

@@ -133,9 +133,7 @@ def _problem(objective, ripples, offset=0.05, error=0.0):
     return Problem(tracker, [stack(_recordings(ripples, error))], objective, parameters), flatten(parameters)
 
 
-@pytest.mark.parametrize(
-    "objective", [NegativeLogLikelihood(), pytest.param(RootMeanSquareError(dimensions=1), marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("objective", [NegativeLogLikelihood(), RootMeanSquareError(dimensions=1)])
 def test_the_gradient_is_that_of_the_value_where_one_trajectory_has_a_gradient_without_bound(objective):
     problem, vector = _problem(objective, [0.0] * 6 + [1.0])
     step = 1e-5

@@ -4,7 +4,7 @@ from functools import partial
 
 import pytest
 
-from trackwright.experiments.lab.__main__ import TABLES, lab
+from trackwright.experiments.lab.__main__ import lab
 from trackwright.experiments.lab.runner import EVIDENCE, Case, measure, read
 from trackwright.trackers.core.errors import UnusableInput
 
@@ -76,13 +76,6 @@ def test_unusable_lists_of_cases_are_refused(tmp_path, cases, only, message):
 def test_an_unknown_table_is_refused_with_the_nearest_name():
     with pytest.raises(UnusableInput, match="table studis: unknown.*studies"):
         lab("studis")
-
-
-def test_without_a_name_every_table_is_listed_with_a_sentence(capsys):
-    assert lab() == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == list(TABLES)
-    assert all(len(line.split()) > 4 for line in lines)
 
 
 def test_a_world_is_measured_end_to_end(tmp_path):

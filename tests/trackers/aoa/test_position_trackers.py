@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -81,12 +80,6 @@ def test_positions_are_found_to_centimetres_whatever_is_missing(runs, tracker, w
     assert _rmse(errors[:, 3:]) < bound
     started_again = {Status.RESTARTED} if world == "phases with outliers" else set()
     assert set(np.unique(estimates.status)) <= {Status.OK, Status.WAITING} | started_again
-
-
-def test_a_run_of_the_cascade_goes_on_from_a_state_of_each_station():
-    batch = stack(_recordings({})[:1])
-    _, state = jax.eval_shape(lambda: cascade_tracker(RIG.stations).scan(batch))
-    assert set(state.beams) == set(RIG.stations)
 
 
 @pytest.mark.parametrize("world", ["whole", "a station is lost"])

@@ -1,4 +1,4 @@
-"""The O(N) forward recursion against enumeration of all state sequences; its transition over any interval."""
+"""The O(N) forward recursion against enumeration of all state sequences; its transition over any interval; its start."""
 
 from itertools import pairwise, product
 
@@ -11,6 +11,7 @@ from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.tunable import freeze
 from trackwright.trackers.mhk.accelerations import AccelerationSphere
 from trackwright.trackers.mhk.fusion import AccelerationFilter, chain_predicted, chain_updated
+from trackwright.trackers.mhk.tracker import mhk_tracker
 
 STATIONARY = np.array([0.5, 0.3, 0.2])
 
@@ -67,3 +68,13 @@ def test_at_the_papers_rate_and_noise_a_displacement_carries_little_information(
     displacement = np.array([0.01, 0.0, 0.0])
     assert 0 < _mean(0.042, displacement, 0.1)[0] < 0.1
     assert float(_mean(0.0005, displacement, 0.1)[0]) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("start", "moved_mm"), [("stationary", 0.101), ("uniform", 0.190)])
+def test_a_first_displacement_of_3_cm_moves_the_prediction_by_a_tenth_of_a_millimetre_more_or_less(start, moved_mm):
+    chain = mhk_tracker(rate=1.0).fusion.filter
+    stationary = chain.sphere.blocks().probabilities
+    weights = stationary if start == "stationary" else jnp.full_like(stationary, 1.0 / len(stationary))
+    displacement, dt = Vector(*(jnp.asarray(x) for x in (0.03, 0.0, 0.0))), jnp.asarray(0.1)
+    _, acceleration = chain.posterior(weights, displacement, dt)
+    assert 1000 * 0.5 * float(next(iter(acceleration))) * 0.1**2 == pytest.approx(moved_mm, abs=0.001)

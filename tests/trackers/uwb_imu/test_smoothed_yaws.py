@@ -1,17 +1,18 @@
-"""A smoothed mixture of yaws: each component smoothed by itself, weighted by its likelihood of the whole track."""
+"""A mixture of yaws: its components at the start, and each smoothed by itself, weighted by its likelihood of the track."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from trackwright.trackers.core.data.recording import stack
-from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.filters.ekf import ExtendedKalman, Gaussian
 from trackwright.trackers.core.model.algebra import Vector
-from trackwright.trackers.core.model.state import Heading
+from trackwright.trackers.core.model.state import Heading, Rotation
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.ranges import RangeSensor
-from trackwright.trackers.uwb_imu.strapdown import ImuNoise, PlanarInertial, PlanarStrapdown
+from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 ROWS, STEP_S, SIGMA_R, RADIUS = 24, 0.05, 0.3, 3.0
@@ -71,3 +72,27 @@ def test_the_mean_of_the_mixture_is_the_components_weighted_by_likelihood(runs):
     estimated = flat(bank.mean)[1:]
     estimated[:, angle] += 2 * np.pi * np.round((mean - estimated)[:, angle] / (2 * np.pi))
     np.testing.assert_allclose(estimated, mean, rtol=1e-9, atol=1e-9)
+
+
+def _zeros(n):
+    return Vector(*[jnp.asarray(0.0)] * n)
+
+
+def test_in_the_plane_the_headings_divide_the_circle_from_the_given_one():
+    state = PlanarInertial(_zeros(2), _zeros(2), _zeros(2), Heading(jnp.asarray(0.3)), jnp.asarray(0.0))
+    mixture = YawMixtureFilter(count=4).init(Gaussian(state, (jnp.asarray(1.0),) * 36), None)
+    np.testing.assert_allclose(mixture.beliefs.mean.attitude.angle, 0.3 + np.pi / 2 * np.arange(4), rtol=1e-12)
+    np.testing.assert_allclose(np.exp(mixture.log_weights), 0.25, rtol=1e-12)
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.2, -0.5, 0.4)])
+def test_in_space_the_attitudes_are_rotated_about_the_worlds_vertical(axis):
+    attitude = Rotation.exp(tuple(jnp.asarray(x) for x in axis))
+    state = Inertial(_zeros(3), _zeros(3), attitude, _zeros(3), _zeros(3))
+    mixture = YawMixtureFilter(count=3).init(Gaussian(state, (jnp.asarray(1.0),) * 120), None)
+    tilted = np.array([float(x) for x in attitude.apply(Vector(0.3, 0.4, 0.5))])
+    for k in range(3):
+        part = Rotation(*(np.asarray(getattr(mixture.beliefs.mean.attitude, q))[k] for q in "wxyz"))
+        c, s = np.cos(2 * np.pi * k / 3), np.sin(2 * np.pi * k / 3)
+        expected = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ tilted
+        np.testing.assert_allclose([float(x) for x in part.apply(Vector(0.3, 0.4, 0.5))], expected, atol=1e-12)

@@ -14,7 +14,6 @@ from tests.broken import ANOMALOUS
 from tests.trackers.recordings.checks.made import good, hall, only, with_anchors, with_columns, with_rows
 from trackwright.trackers.exchange.importing import placed
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
-from trackwright.trackers.recordings.checks.readings import robust_fit
 from trackwright.trackers.recordings.checks.rules import CheckResult
 from trackwright.trackers.recordings.folder import read_recording
 
@@ -83,12 +82,3 @@ def test_a_wrong_place_of_an_anchor_is_corrected_to_the_side_on_which_rig_toml_h
     (error,) = quick_check(with_anchors(lambda _: {"A4": np.array([12.0, 3.0, 2.7])})(hall()))
     place = [float(x) for x in error.message.partition("at (")[2].partition(")")[0].split(",")]
     np.testing.assert_allclose(place, hall().rig.anchors["A4"], atol=0.4)
-
-
-def test_a_robust_fit_ignores_a_fifth_of_wild_errors():
-    rng, true = np.random.default_rng(0), np.array([1.0, -2.0])
-    x = rng.uniform(-3, 3, 400)
-    y = true[0] * x + true[1] + rng.normal(0, 0.05, 400) + 30.0 * (rng.random(400) < 0.2)
-    found, size = robust_fit(lambda p: (p[0] * x + p[1] - y)[:, None], np.zeros(2))
-    assert found == pytest.approx(true, abs=0.03)
-    assert size < 0.06
