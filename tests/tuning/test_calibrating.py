@@ -1,4 +1,4 @@
-"""Calibrations of simulated worlds with known systematic errors, and of recordings that lack something."""
+"""Calibrations of simulated worlds with known systematic errors, and of recordings that lack something; their pieces."""
 
 from dataclasses import replace
 
@@ -9,10 +9,13 @@ from scipy.optimize import minimize
 
 from tests.tuning.calibration_worlds import RIG, lasting, ranged, recording, standardised, truth_of, walk, world
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.rig import Station, Tag
+from trackwright.trackers.core.model.rig import Rig, Station, Tag
 from trackwright.trackers.recordings.calibration import ANGLE_PRIOR, RANGE_PRIOR
+from trackwright.trackers.recordings.columns import PIECE_M, PIECE_S
 from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS
 from trackwright.tuning.calibrating import LEAST_SLOPE, calibrate
+from trackwright.tuning.calibration_pairs import calibration_pairs
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
 
@@ -201,3 +204,26 @@ def test_terms_of_too_small_a_slope_become_the_nearest_that_have_it(seed):
     moved = with_least_slope(found, slopes, least)
     np.testing.assert_allclose(moved.terms, found.terms + nearest.x, atol=1e-5)
     assert with_least_slope(found, slopes, float(np.min(slopes @ found.terms))) is found
+
+
+@pytest.mark.parametrize("first", ["moving", "still"])
+def test_pieces_are_those_of_the_tag_that_moves_most_for_all_tags_of_a_body(first):
+    times, speed = 0.5 * np.arange(121), 0.5
+    moving = np.stack([speed * times, 0 * times, 0 * times], axis=1)
+    places = {"moving": moving, "still": moving[:1] + 0 * moving}
+    tags = dict(zip("ab", sorted(places, key=lambda name: name != first), strict=True))
+    tables = {"truth": [], "ranges": []}
+    for tag, name in tags.items():
+        at = {"t_s": times, "tag": [tag] * len(times)}
+        tables["truth"].append(pl.DataFrame(at | {f"{a}_m": places[name][:, k] for k, a in enumerate("xyz")}))
+        far = np.linalg.norm(places[name] - [5.0, 9.0, 2.0], axis=1)
+        tables["ranges"].append(pl.DataFrame(at | {"anchor": ["A"] * len(times), "range_m": far}))
+    folder = RecordingFolder(
+        "hall", None, Rig("hall", anchors={"A": np.array([5.0, 9.0, 2.0])}),
+        {name: pl.concat(parts).sort("t_s", maintain_order=True) for name, parts in tables.items()},
+    )  # fmt: skip
+    pairs = calibration_pairs([folder], KINDS["ranges"])["A"]
+    # 60 s at 0.5 m/s: a piece for every 5 s, in which the tag moves more than 1 m
+    assert PIECE_S * speed > PIECE_M
+    for tag in tags:
+        assert len(np.unique(pairs.piece[pairs.tag == tag])) == pytest.approx(60 / PIECE_S, abs=1)

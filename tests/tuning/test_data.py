@@ -1,4 +1,4 @@
-"""The data of a fit from folders: the truth that an objective needs, and recordings that lack it."""
+"""The data of a fit from folders: the truth that an objective needs, recordings that lack it, and fingerprints."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import pytest
 
 import trackwright as tw
 from tests.tuning.worlds import figure, line_tracker, walks
+from trackwright.sim import worlds
 from trackwright.sim.worlds import ranges
+from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.tuning.checkpoint import fingerprint
 from trackwright.tuning.data import fit_arrays, fit_data, trajectory_weights
 from trackwright.tuning.objectives import parse_objective
 from trackwright.tuning.parameters import flatten, select_parameters, tuned_by_default
@@ -174,3 +177,22 @@ def test_vertical_noise_keeps_its_start_where_the_position_over_the_floor_is_jud
     assert f"\n  caution: {texts[0]}" in repr(result)
     free = tw.fit(named, folder, objective, "motion.sigma_z", options)
     assert np.all(free.limits[0] < free.limits[1]), "alone it is not held"
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Segments of nine vehicles in two recordings, of different lengths."""
+    folders = [worlds.agv(n=n, seed=n, rows=rows).folder() for n, rows in ((5, 90), (4, 60))]
+    named = build("fix-kf", folders)
+    return fit_data(named.only_batch(folders), "state-nll", segment_rows=25)
+
+
+def test_a_checkpoint_tells_recordings_that_differ_in_one_number_apart(data):
+    last = data.training[-1]
+    readings = {
+        name: dataclasses.replace(r, values=np.append(r.values[:-1], r.values[-1:] + 1e-3, axis=0))
+        for name, r in last.recording.readings.items()
+    }
+    changed = dataclasses.replace(last, recording=dataclasses.replace(last.recording, readings=readings))
+    other = dataclasses.replace(data, training=[*data.training[:-1], changed])
+    assert len({fingerprint({}, own.batches(), np.zeros(2)) for own in (data, other)}) == 2

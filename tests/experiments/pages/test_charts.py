@@ -1,6 +1,7 @@
-"""Charts hold the numbers they were given, for plotly.js and matplotlib alike, and take odd input."""
+"""Charts hold the numbers they were given, for plotly.js and matplotlib alike, and take odd input; those of studies too."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import matplotlib.pyplot
@@ -11,10 +12,16 @@ import scipy.stats
 from matplotlib.image import imread
 
 from tests.experiments.pages.small_tracks import BIAS, TAGS, small_bearings, small_run, small_tracks
+from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
 from trackwright.experiments.pages import charts
+from trackwright.experiments.pages.calibration import Source
 from trackwright.experiments.pages.chart import Chart, Line, band, broken_at_gaps, draw, numbers, write
 from trackwright.experiments.pages.comparison import comparison_charts
+from trackwright.experiments.pages.study import study_charts
+from trackwright.experiments.text.expectations import Value
+from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.tuning.calibration_pairs import Pairs
 
 mpl.use("Agg")
 
@@ -142,3 +149,38 @@ def test_the_tail_of_one_run_does_not_set_the_axis_of_errors():
         errors, _ = comparison_charts(runs)
         assert errors.xlim[1] < 25  # cm
         assert sorted(part.name.partition(" cm")[2] for part in errors.parts) == ["", ", 3.3 % beyond"]
+
+
+@pytest.mark.parametrize("values", [[0.3, 0.1, 0.2], [0.1, 0.2]], ids=["lines", "rows"])
+def test_the_first_metric_with_values_is_drawn_with_its_intervals(values):
+    trackers = {"direct": TrackerConfig("direct"), "cascade": TrackerConfig("cascade")}
+    study = Study(name="grid", about="", worlds={"hand": World(WORLDS["station"])}, trackers=trackers,
+                  grid={"world.sigma_p": values}, runs=2)  # fmt: skip
+    found = {(c.index, t): Value(0.01 * (1 + c.index), 0.009, 0.06) for c in study.conditions for t in trackers}
+    nothing = dict.fromkeys(found, Value(0.0, 0.0, 0.0))
+    results = SimpleNamespace(study=study, main_metrics=lambda: {"max_m": nothing, "rmse_m": found})
+    (chart,) = study_charts(results)
+    assert chart.title == "RMSE, mm" if len(values) > 2 else chart.yticks
+    drawn = {part.name: part for part in chart.parts if part.marker}
+    assert [*drawn] == [*trackers]
+    first = drawn["direct"]
+    along, expected = (first.y, [20, 30, 10]) if len(values) > 2 else (first.x, [10, 20])
+    assert [*along] == pytest.approx(expected)
+    if len(values) > 2:
+        assert [*first.x] == sorted(values)
+    assert study_charts(SimpleNamespace(study=study, main_metrics=lambda: {"max_m": nothing})) == []
+
+
+def _source(true, error, number):
+    values = np.asarray(true)[:, None]
+    pairs = Pairs(values, values + np.asarray(error)[:, None], np.zeros((len(true), 3)), number, *[number] * 5)
+    return Source("anchors", "A", "range", 0, pairs)
+
+
+def test_a_short_recording_counts_as_much_as_a_long_one_in_the_spread_of_errors():
+    errors, number = np.array([0.1, -1.0, -0.3, 0.2, np.nan, 0.4]), np.array([0, 1, 0, 0, 0, 0])
+    source = _source(np.zeros(6), errors, number)
+    # Half of the weight is that of the one row of 1 m: it holds the percentiles above the 50th.
+    assert source.spread(errors) == 1.0
+    assert source.spread(np.where(number == 0, errors, np.nan)) == 0.3
+    assert np.isnan(source.spread(np.full(6, np.nan)))

@@ -77,12 +77,3 @@ def test_the_derivative_with_respect_to_the_time_constant_is_the_central_differe
     # Truncation is 1e-10 of the third derivative, rounding 1e-11 of the value.
     tolerance = 1e-10 * (1 + float(np.abs(moved(at, dt)).max()))
     np.testing.assert_allclose(jax.jit(jax.jacfwd(_moved))(at, dt), difference, rtol=1e-7, atol=tolerance)
-
-
-def test_in_the_limits_it_is_constant_velocity_and_a_gauss_markov_acceleration():
-    steady, quick = (Singer(SIGMA, tau, 1) for tau in (1e9, 1e-3))
-    x, no_noise, dt = jnp.array([0.0, 0.0, 2.0]), jnp.zeros(3), jnp.asarray(3.0)
-    np.testing.assert_allclose(_step(steady, x, no_noise, dt), [9.0, 6.0, 2.0], rtol=1e-8)
-    np.testing.assert_allclose(_step(quick, x, no_noise, dt), [0.006, 0.002, 0.0], rtol=1e-3, atol=1e-12)
-    # Far longer than the time constant, the acceleration is independent of its initial value.
-    assert float(_step(quick, jnp.zeros(3), jnp.array([1.0, 0.0, 0.0]), dt)[2]) == pytest.approx(SIGMA, rel=1e-12)
