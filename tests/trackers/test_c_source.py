@@ -41,7 +41,7 @@ def _mean(estimates):
     [
         ("agv", "fix-kf"),
         ("ranges", "uwb"),
-        ("fusion", "bearings"),
+        pytest.param("fusion", "bearings", marks=pytest.mark.slow),
         pytest.param("tdoa", "tdoa", marks=pytest.mark.slow),
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 import trackwright as tw
 from trackwright.experiments.text.expectations import PREDICTED, ExpectedResult, Value, with_interval
 from trackwright.experiments.text.tables import Section, archive_text, cells, markdown, sections_text
-from trackwright.experiments.text.wording import Unit, rounded, unit_of, units_of
+from trackwright.experiments.text.wording import Unit, rounded, unit_of
 from trackwright.trackers.evaluation.metrics import METRICS
 
 MM = Unit("mm", 1.0)
@@ -28,11 +28,6 @@ def test_digits_follow_the_spread():
     ]  # fmt: skip
     assert with_interval(Value(0.1234, 0.1204, 0.1264), unit_of("rmse_m", [0.1234])) == "12.34 (12.04 … 12.64)"
     assert with_interval(Value(0.1234, np.nan, np.nan)) == "0.123"
-
-
-def test_lengths_side_by_side_have_one_unit():
-    units = units_of({"rmse_m": [0.2], "max_m": [5.0], "coverage_95": [0.9], "rmse_direction_rad": [0.1]})
-    assert [units[k].name for k in units] == ["cm", "cm", "%", "°"]
 
 
 def test_large_numbers_are_written_without_powers_of_ten():

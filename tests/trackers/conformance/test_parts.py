@@ -65,10 +65,6 @@ class Ruler(AbstractSensor):
         return self.change(good, reading, predicted)
 
 
-def test_a_sound_sensor_of_ones_own_passes():
-    check_sensor(Ruler(lambda good, reading, predicted: good), Placed(Vector(0.4, 0.7)))
-
-
 def _unmasked(good, reading, predicted):
     return good._replace(whitened=[(z - p) / 0.1 for z, p in zip(reading.values, predicted, strict=True)])
 

@@ -156,7 +156,7 @@ def test_the_lines_of_a_kit_are_read_by_the_patterns_of_its_preset(tmp_path, tex
 
 CSV = "t_s,tag,id,distance_mm,word,gap\n0,T,A1,1000,1,a\n1,T,A1,1000,oops,\n"
 DATES = "t,d1\n{},1\n{},1\n"
-US, DE = "05/04/2026 14:13:20", "05/13/2026 14:13:20"
+US = "05/04/2026 14:13:20"
 NO_ZONE, ZONE = "2026-05-04T14:13:20", "2026-05-04T14:13:21Z"
 SECONDS = "s,ns,x,y,z\n" + "".join(f"{1777904000 + k // 9},{k},{k},0,1\n" for k in range(40))
 POSE, TRUTH = "0 0 0 0 0 0 0 1\n", {"table": "truth", "columns": ()}

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from trackwright.sim.line import simulate_line
-from trackwright.trackers.catalogue import TRACKERS, spec_of
+from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
@@ -42,12 +42,6 @@ def test_on_all_situations_the_path_halves_the_error_of_the_fixes(folders, track
     for recording in evaluation.recordings:
         # The fixes are off by 0.44 m, root mean square; the thesis's particle filter gains a factor of 2.2.
         assert recording["rmse_m"] < 0.25
-
-
-def test_ranges_to_tags_of_unknown_height_are_refused_in_words(folders):
-    ranges = pl.DataFrame({"t_s": [0.0], "tag": ["0"], "anchor": ["a"], "range_m": [1.0]})
-    folder = RecordingFolder("x", None, Rig("x", path_knots=folders[0].rig.path_knots), {"ranges": ranges})
-    assert "height_m" in TRACKERS["line-grid"].missing(folder)
 
 
 def test_ranges_to_one_anchor_after_the_other_give_the_position_on_the_path():

@@ -1,5 +1,6 @@
-"""The range sensor: its density, its geometry from the inputs of a row, and outliers among good ranges."""
+"""The sensors of ranges and fixes: density, geometry from the inputs of a row, reported noise, and outliers among good ranges."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,8 @@ from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.motion import Placed
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.state import Heading, Rotation
-from trackwright.trackers.core.model.tunable import Real, freeze, replaced
+from trackwright.trackers.core.model.tunable import Real, Scale, freeze, replaced
+from trackwright.trackers.parts.fixes import FixSensor
 from trackwright.trackers.parts.ranges import RangeSensor, in_world_axes
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])
@@ -104,3 +106,11 @@ def test_a_negative_range_error_has_more_weight_than_a_positive_one(updated):
     shift[0] = 0.3
     longer, shorter = (np.linalg.norm(np.array(updated(jnp.asarray(good + s))[0]) - POSITION) for s in (shift, -shift))
     assert shorter > 1.2 * longer
+
+
+def test_a_reported_standard_deviation_counts_by_its_scale_beside_the_sensors_own():
+    sensor = eqx.tree_at(lambda s: s.reported_std_scale, FixSensor(0.3, 1.2), Scale(2.0))
+    reading = Reading((1.0, -0.5, 2.0), (True, True, True), (0.2**2, 0.2**2, 0.25**2))
+    whitened = freeze(sensor).residual(reading, [0.0, 0.0, 0.0]).whitened
+    # Twice 0.2 m beside 0.3 m are 0.5 m, twice 0.25 m beside 1.2 m are 1.3 m.
+    np.testing.assert_allclose([float(x) for x in whitened], [2.0, -1.0, 2.0 / 1.3], rtol=1e-6)

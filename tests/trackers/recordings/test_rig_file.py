@@ -8,9 +8,6 @@ import pytest
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.rig_file import read_rig
 
-ARRAY_IN_BODY = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Columns: the array's x (left), y (up) and z (ahead) in the axes of a body with x ahead, y left and z up."""
-
 
 def _station(tmp_path, lines):
     path = tmp_path / "rig.toml"

@@ -69,13 +69,6 @@ def test_a_state_that_holds_an_array_is_filtered_like_one_of_scalars(both_states
     np.testing.assert_allclose(array.covariance, scalars.covariance, rtol=1e-13)
 
 
-def test_one_trajectory_of_an_array_state_is_that_trajectory(both_states):
-    array, scalars = both_states
-    for trajectory in range(3):
-        mean = np.stack(list(scalars[trajectory].mean.position), axis=-1)
-        np.testing.assert_allclose(array[trajectory].mean.position, mean, rtol=1e-13)
-
-
 def test_sigmas_are_named_roots_of_the_covariances_diagonal(both_states):
     for estimates in both_states:
         assert list(estimates.sigmas) == ["position.0", "position.1"]

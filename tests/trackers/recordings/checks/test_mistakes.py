@@ -27,7 +27,7 @@ from trackwright.trackers.recordings.checks.all_checks import check, format_resu
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 C, T, X, Y, Z = pl.col, *(pl.col(name) for name in ("t_s", "x_m", "y_m", "z_m"))
-XYZ, R, AZ, EL = pl.col("x_m", "y_m", "z_m"), C("range_m"), C("azimuth_rad"), C("elevation_rad")
+XYZ, R, AZ = pl.col("x_m", "y_m", "z_m"), C("range_m"), C("azimuth_rad")
 TD = C("range_difference_m")
 A1 = C("anchor")
 WILD = pl.Series(np.random.default_rng(1).uniform(0, 250, 1800))

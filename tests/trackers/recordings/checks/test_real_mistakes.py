@@ -42,7 +42,7 @@ def _turned(degrees: float) -> Make:
 
 
 T, X, Y, Z = (pl.col(name) for name in ("t_s", "x_m", "y_m", "z_m"))
-RANGE, AZIMUTH, ELEVATION = pl.col("range_m"), pl.col("azimuth_rad"), pl.col("elevation_rad")
+RANGE, AZIMUTH = pl.col("range_m"), pl.col("azimuth_rad")
 
 MISTAKES = {
     "ranges in millimetres": Mistake("starloc-fast-s1", ("millimetres",), with_columns("ranges", range_m=1000 * RANGE)),
