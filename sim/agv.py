@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.sim.corruptions import Corruption, correlated_noise, corrupted, gauss_markov, outliers
-from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
-from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.sim.keys import Keys, namespace, stream, uniforms
+from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -40,11 +42,11 @@ class Route:
 
     def at(self, arclength: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows 2"]:
         """Positions (..., 2), m, at these arc lengths, m, from the middle of the lower side."""
-        ends = self._ends()
-        s = np.asarray(np.fmod(np.asarray(arclength, float), ends[-1]))
-        s[s < 0] += ends[-1]
-        part = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
-        along = s - np.concatenate([[0.0], ends]).take(part)
+        xp, ends = namespace(arclength), self._ends()
+        s = xp.fmod(xp.asarray(arclength), ends[-1])
+        s = xp.where(s < 0, s + ends[-1], s)
+        part = xp.minimum(xp.searchsorted(ends, s, side="right"), len(ends) - 1)
+        along = s - xp.asarray(np.concatenate([[0.0], ends]))[part]
         # Of each part: each side starts at the end of the corner before it; the first side starts at its middle.
         parts = np.arange(len(ends))
         quarter, turns = parts // 2 % 4, parts % 2 == 1
@@ -54,15 +56,11 @@ class Route:
         begin = corner + self.radius * np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
         side = np.array([self.width, self.depth, self.width, self.depth])[quarter] - 2 * self.radius
         side[0] /= 2
-        back = side.take(part) - along
-        positions = np.stack(
-            [x.take(part) - back * d.take(part) for x, d in zip(begin.T, direction.T, strict=True)], axis=-1
-        )
-        turning = turns.take(part)
-        at = part[turning]
-        angle = heading[at] + along[turning] / self.radius
-        positions[turning] = corner[at] + self.radius * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
-        return positions
+        of_part = xp.asarray(np.stack([side, heading, *begin.T, *direction.T, *corner.T]))[:, part]
+        back, angle = of_part[0] - along, of_part[1] + along / self.radius
+        straight = of_part[2:4] - back * of_part[4:6]
+        round_it = of_part[6:8] + self.radius * xp.stack([xp.sin(angle), -xp.cos(angle)])
+        return xp.moveaxis(xp.where(xp.asarray(turns)[part], round_it, straight), 0, -1)
 
     def distance(self, points: Float[np.ndarray, "*rows 2"]) -> Float[np.ndarray, "*rows"]:
         """The distance of points (..., 2), m, from the route, inside or outside: an error without regard to time."""
@@ -83,7 +81,10 @@ class Route:
 
 @dataclass(frozen=True)
 class SimulatedFixes:
-    """Fixes of n tags at T times with their truth: m and s; `route`: the designed one; `ids`: the trajectory ids."""
+    """Fixes of n tags at T times with their truth: m and s; `route`: the designed one; `ids`: the trajectory ids.
+
+    `draw`: what drew them.
+    """
 
     times: Float[np.ndarray, " T"]
     positions: Float[np.ndarray, "n T 3"]
@@ -92,6 +93,7 @@ class SimulatedFixes:
     route: Float[np.ndarray, "k 2"]
     anchors: dict[str, Float[np.ndarray, " 3"]]
     ids: Int[np.ndarray, " n"]
+    draw: VehicleDraw
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: fixes and truth in space, the designed route as the rig's path."""
@@ -100,7 +102,39 @@ class SimulatedFixes:
             name: ArrayRows.regular(self.times, self.ids, {AXES: values})
             for name, values in (("fixes", fixes), ("truth", self.positions))
         }
-        return folder_of(name, tables, self.ids, anchors=self.anchors, path_knots=self.route)
+        return folder_of(name, tables, self.ids, self.draw, anchors=self.anchors, path_knots=self.route)
+
+
+class VehicleDraw(AbstractDraw):
+    """Vehicles on a route: see `simulate_agv`."""
+
+    errors: tuple[tuple[str, Corruption], ...]
+    route: Route = eqx.field(static=True)
+    speed: float = eqx.field(static=True)
+    rows: int = eqx.field(static=True)
+
+    measured = MappingProxyType({"fixes": "seen"})
+
+    @property
+    def times(self) -> Float[np.ndarray, " T"]:
+        return np.arange(self.rows) / RATE_HZ
+
+    def __call__(self, keys: Keys) -> dict[str, Any]:
+        times, speed = self.times, self.speed
+        # ½ t² until t = `speed`, when 1 m/s² has led to `speed`; constant speed from there.
+        covered = np.where(times < speed, 0.5 * times**2, speed * times - 0.5 * speed**2)
+        start = uniforms(stream(keys, "start"), (1,)).astype(float) * self.route.length
+        floor = self.route.at(start + covered)
+        xp = namespace(floor)
+        positions = xp.concatenate([floor, xp.full_like(floor[..., :1], TAG_HEIGHT)], axis=-1)
+        fixes, seen = corrupted(self.errors, keys, times, positions, np.ones(positions.shape, bool))
+        return {"positions": positions, "fixes": fixes, "seen": seen}
+
+    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedFixes:
+        half = np.array([self.route.width, self.route.depth]) / 2 + 1.0
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+        anchors = {str(k + 1): np.array([*c, ANCHOR_HEIGHT]) for k, c in enumerate(corners)}
+        return SimulatedFixes(self.times, **arrays, route=self.route.knots(), anchors=anchors, ids=ids, draw=self)
 
 
 def simulate_agv(
@@ -119,21 +153,4 @@ def simulate_agv(
     """
     if not 0 < speed <= min(LARGEST_SPEED, (LARGEST_ACCELERATION * route.radius) ** 0.5):
         raise ValueError(f"speed {speed} m/s: the vehicle reaches 2 m/s, and 2 m/s² in corners of {route.radius} m")
-    ids = trajectory_ids(n)
-    keys = trajectory_keys(seed, ids)
-    times = np.arange(rows) / RATE_HZ
-    # ½ t² until t = `speed`, when 1 m/s² has led to `speed`; constant speed from there.
-    covered = np.where(times < speed, 0.5 * times**2, speed * times - 0.5 * speed**2)
-
-    def driven(keys: Keys) -> tuple[np.ndarray, ...]:
-        start = uniforms(stream(keys, "start"), (1,)).astype(float) * route.length
-        floor = route.at(start + covered)
-        positions = np.empty((*floor.shape[:-1], 3))
-        positions[..., :2], positions[..., 2] = floor, TAG_HEIGHT
-        return positions, *corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
-
-    positions, fixes, seen = in_blocks(driven, keys)
-    half = np.array([route.width, route.depth]) / 2 + 1.0
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
-    anchors = {str(k + 1): np.array([*c, ANCHOR_HEIGHT]) for k, c in enumerate(corners)}
-    return SimulatedFixes(times, positions, fixes, seen, route.knots(), anchors, ids)
+    return VehicleDraw(tuple(errors.items()), route, speed, rows).drawn(n, seed)

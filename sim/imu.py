@@ -197,13 +197,14 @@ def with_imu(
     if gap_s is not None:
         seen &= ~((times >= gap_s[0]) & (times < gap_s[1]))
 
-    def sampled(keys: Keys, seen: Bool[np.ndarray, "n T"]) -> tuple[np.ndarray, ...]:
+    def sampled(keys: Keys, seen: Bool[np.ndarray, "n T"]) -> dict[str, np.ndarray]:
         positions, attitudes = path(stream(keys, "path"), times), attitude(stream(keys, "attitude"), times)
         force, rate = ideal_readings(times, positions, attitudes)
         all_seen = np.ones(force.shape, bool)
-        force, _ = corrupted(accel, stream(keys, "accelerometer"), times, force, all_seen)
-        rate, _ = corrupted(gyro, stream(keys, "gyro"), times, rate, all_seen)
-        return positions, *(np.where(seen[..., None], x, 0.0) for x in (force, rate)), attitudes
+        force, _ = corrupted(accel.items(), stream(keys, "accelerometer"), times, force, all_seen)
+        rate, _ = corrupted(gyro.items(), stream(keys, "gyro"), times, rate, all_seen)
+        force, rate = (np.where(seen[..., None], x, 0.0) for x in (force, rate))
+        return {"positions": positions, "accel": force, "gyro": rate, "attitudes": attitudes}
 
-    positions, force, rate, attitudes = in_blocks(sampled, trajectory_keys(seed, readings.ids), seen, size=32)
-    return SimulatedUwbImu(readings, times, positions, seen, force, rate, attitudes)
+    arrays = in_blocks(sampled, trajectory_keys(seed, readings.ids), seen, size=32)
+    return SimulatedUwbImu(readings, times, seen=seen, **arrays)

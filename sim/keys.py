@@ -11,12 +11,14 @@ import math
 import zlib
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float32, Int, Key, Shaped, UInt32
 
+from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.keys import threefry
 
 Keys = Key[jax.Array, " n"]
@@ -47,19 +49,45 @@ def stream(keys: Keys, name: str) -> Keys:
     return _fold_name(keys, np.uint32(zlib.crc32(name.encode())))
 
 
-def normals(keys: Keys, shape: tuple[int, ...]) -> Float32[np.ndarray, "n *shape"]:
+def namespace(*arrays: Any) -> Any:
+    """The module whose functions take these arrays: `jax.numpy` if any of them is jax's, as in a traced draw."""
+    return jnp if any(isinstance(x, jax.Array) for x in arrays) else np
+
+
+def repeated(one: AnyArray, keys: Keys) -> Any:
+    """The array (1, …) once for each of the keys, (n, …)."""
+    xp = jnp if isinstance(keys, jax.core.Tracer) else namespace(one)
+    return xp.broadcast_to(one, (len(keys), *one.shape[1:]))
+
+
+def in_dtype(numbers: AnyArray, of: AnyArray) -> Any:
+    """The numbers in the dtype of another array; traced ones in what jax makes of it."""
+    return numbers.astype(jax.dtypes.canonicalize_dtype(of.dtype) if isinstance(numbers, jax.Array) else of.dtype)
+
+
+def normals(keys: Keys, shape: tuple[int, ...]) -> Float32[AnyArray, "n *shape"]:
     """Standard normal float32 numbers (n, *shape); row i depends on key i alone."""
-    return np.asarray(_normals(keys, math.prod(shape))).reshape(-1, *shape)
+    return _untraced(_normals(keys, math.prod(shape))).reshape(-1, *shape)
 
 
-def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float32[np.ndarray, "n *shape"]:
+def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float32[AnyArray, "n *shape"]:
     """Uniform float32 numbers in [0, 1), (n, *shape); row i depends on key i alone."""
-    return np.asarray(_uniforms(keys, math.prod(shape))).reshape(-1, *shape)
+    return _untraced(_uniforms(keys, math.prod(shape))).reshape(-1, *shape)
+
+
+def _untraced(numbers: jax.Array) -> AnyArray:
+    """The numbers in NumPy, unless they are traced."""
+    return numbers if isinstance(numbers, jax.core.Tracer) else np.asarray(numbers)
+
+
+def each(function: Callable[[Any], Any], rows: AnyArray) -> Any:
+    """The function of each of the rows (n, …), stacked."""
+    return jax.vmap(function)(rows) if namespace(rows) is jnp else np.stack([function(row) for row in rows])
 
 
 def in_blocks(
-    draw: Callable[..., tuple[np.ndarray, ...]], keys: Keys, *arrays: Shaped[np.ndarray, "n ..."], size: int = 256
-) -> tuple[Shaped[np.ndarray, "n ..."], ...]:
+    draw: Callable[..., dict[str, np.ndarray]], keys: Keys, *arrays: Shaped[np.ndarray, "n ..."], size: int = 256
+) -> dict[str, Shaped[np.ndarray, "n ..."]]:
     """The arrays (n, …) of `draw(keys, *arrays)`, drawn for `size` trajectories at a time, which fit the cache.
 
     All blocks have one shape, the last one padded: nothing is compiled twice.
@@ -68,13 +96,13 @@ def in_blocks(
     if count <= size:
         return draw(keys, *arrays)
     data = np.asarray(jax.random.key_data(keys))
-    whole: tuple[np.ndarray, ...] = ()
+    whole: dict[str, np.ndarray] = {}
     for first in range(0, count, size):
         rows = np.minimum(np.arange(first, first + size), count - 1)
         block = draw(jax.random.wrap_key_data(jnp.asarray(data[rows]), impl=_GENERATOR), *(x[rows] for x in arrays))
-        whole = whole or tuple(np.empty((count, *x.shape[1:]), x.dtype) for x in block)
-        for all_rows, block_rows in zip(whole, block, strict=True):
-            all_rows[first : first + size] = block_rows[: count - first]
+        whole = whole or {name: np.empty((count, *x.shape[1:]), x.dtype) for name, x in block.items()}
+        for name, rows_of in block.items():
+            whole[name][first : first + size] = rows_of[: count - first]
     return whole
 
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
+import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
-from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
-from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.sim.keys import Keys, each, namespace, repeated, stream, trajectory_keys, uniforms
+from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
+from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -25,20 +29,19 @@ FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType({"white": white_noise(0.
 """A mean error of 0.39 m, as in Table 3.1, whose ratios white noise alone does not reproduce."""
 
 Lengths = Float[np.ndarray, " k"]
-Durations = Float[np.ndarray, "n k"]
+Durations = Float[AnyArray, "n k"]  # or of one for all
 
 
 def constant_speed(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
     """Situation 1: the same speed on all segments, no halts."""
-    travel = np.tile(lengths / speed, (len(keys), 1))
-    return travel, np.zeros_like(travel)
+    travel = lengths[None] / speed
+    return travel, np.zeros(travel.shape)
 
 
 def halts(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
     """Situation 2: the same speed on all segments, and a halt of 5 s where two segments meet."""
-    travel, rest = constant_speed(keys, lengths, speed)
-    rest[:, :-1] = 5.0
-    return travel, rest
+    travel, _ = constant_speed(keys, lengths, speed)
+    return travel, np.where(np.arange(len(lengths)) < len(lengths) - 1, 5.0, np.zeros(travel.shape))
 
 
 def speed_changes(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
@@ -49,17 +52,17 @@ def speed_changes(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations
     factors = 2.0 ** (2.0 * uniforms(stream(keys, "speeds"), (len(lengths),)).astype(float) - 1.0)
     travel = lengths / factors
     travel = travel * (lengths.sum() / speed / travel.sum(axis=1, keepdims=True))
-    return travel, np.zeros_like(travel)
+    return travel, np.zeros(travel.shape)
 
 
 SITUATIONS = MappingProxyType({"constant": constant_speed, "halts": halts, "speeds": speed_changes})
 """The three situations of section 2.5: of keys, lengths and mean speed the travel time on each segment and the rest
-after it, both (n, k), s."""
+after it, both (n, k), or (1, k) for all, s."""
 
 
 @dataclass(frozen=True)
 class SimulatedLine:
-    """Fixes of n tags at T times with their truth: m and s; `ids`: the trajectory ids."""
+    """Fixes of n tags at T times with their truth: m and s; `ids`: the trajectory ids; `draw`: what drew them."""
 
     times: Float[np.ndarray, " T"]
     arclength: Float[np.ndarray, "n T"]
@@ -68,6 +71,7 @@ class SimulatedLine:
     seen: Bool[np.ndarray, "n T 2"]
     knots: Float[np.ndarray, "k 2"]
     ids: Int[np.ndarray, " n"]
+    draw: LineDraw
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: fixes without height, truth at the tags' known height, the rig's path."""
@@ -78,7 +82,53 @@ class SimulatedLine:
             values[..., :2], values[..., 2] = floor, height
             tables[table] = ArrayRows.regular(self.times, self.ids, {AXES: values})
         tags = {str(i): Tag(height=TAG_HEIGHT) for i in self.ids}
-        return folder_of(name, tables, tags, path_knots=self.knots)
+        return folder_of(name, tables, tags, self.draw, path_knots=self.knots)
+
+
+class LineDraw(AbstractDraw):
+    """Tags that travel the path: see `simulate_line`. `knots`: the corners (x, y) of the path, m."""
+
+    errors: tuple[tuple[str, Corruption], ...]
+    situation: str = eqx.field(static=True)
+    knots: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    speed: float = eqx.field(static=True)
+    rest_s: float = eqx.field(static=True)
+    rate_hz: float = eqx.field(static=True)
+    carried_off: tuple[float, float, tuple[float, ...]] | None = eqx.field(static=True)
+
+    measured = MappingProxyType({"fixes": "seen"})
+
+    @property
+    def times(self) -> Float[np.ndarray, " T"]:
+        # In every situation all tags have the same duration, so that one tag does not depend on the others.
+        with jax.ensure_compile_time_eval():
+            end = self._ends(trajectory_keys(0, [0]))[0, -1]
+        return np.arange(int(np.floor((end + self.rest_s) * self.rate_hz)) + 1) / self.rate_hz
+
+    def _ends(self, keys: Keys) -> Float[np.ndarray, "n legs"]:
+        """The times, s, at which the tags' first rest, and each travel and rest after it, ends."""
+        travel, rest = SITUATIONS[self.situation](keys, np.asarray(Polyline(np.array(self.knots)).lengths), self.speed)
+        xp = namespace(travel)
+        legs = xp.stack([travel, rest], axis=-1).reshape(len(travel), -1)
+        return self.rest_s + xp.concatenate([np.zeros((len(legs), 1)), xp.cumsum(legs, axis=1)], axis=1)
+
+    def __call__(self, keys: Keys) -> dict[str, Any]:
+        times, knots, ends = self.times, np.array(self.knots), self._ends(keys)
+        lengths = np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1))
+        marks = np.concatenate([[0.0], np.repeat(np.cumsum(lengths), 2)])
+        corners, xp = np.concatenate([[0.0], np.cumsum(lengths)]), namespace(ends)
+        arclength = each(lambda row: xp.interp(times, row, marks), ends)
+        positions = xp.stack([xp.interp(arclength, corners, axis) for axis in knots.T], axis=-1)
+        if self.carried_off is not None:
+            start, stop, offset = self.carried_off
+            away = (times >= start) & (times < stop)
+            positions = positions + np.where(away[:, None], np.asarray(offset, float), 0.0)
+        fixes, seen = corrupted(self.errors, keys, times, positions, np.ones(positions.shape, bool))
+        drawn = {"arclength": arclength, "positions": positions, "fixes": fixes, "seen": seen}
+        return {name: repeated(x, keys) if len(x) == 1 else x for name, x in drawn.items()}
+
+    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedLine:
+        return SimulatedLine(self.times, **arrays, knots=np.array(self.knots), ids=ids, draw=self)
 
 
 def simulate_line(
@@ -99,25 +149,6 @@ def simulate_line(
     start and end, s, of the time that the tag spends off the line, and its offset then, (dx, dy) m. The thesis prints
     neither speeds nor rate.
     """
-    lengths = np.asarray(Polyline(knots).lengths)
-    ids = trajectory_ids(n)
-    keys = trajectory_keys(seed, ids)
-    travel, rest = SITUATIONS[situation](keys, lengths, speed)
-    legs = np.stack([travel, rest], axis=-1).reshape(len(ids), -1)
-    ends = rest_s + np.concatenate([np.zeros((len(ids), 1)), np.cumsum(legs, axis=1)], axis=1)
-    # In every situation all tags have the same duration, so that one tag does not depend on the others.
-    times = np.arange(int(np.floor((ends[0, -1] + rest_s) * rate_hz)) + 1) / rate_hz
-    marks = np.concatenate([[0.0], np.repeat(np.cumsum(lengths), 2)])
-    corners = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(np.asarray(knots, float), axis=0) ** 2).sum(axis=1)))])
-
-    def travelled(keys: Keys, ends: np.ndarray) -> tuple[np.ndarray, ...]:
-        arclength = np.stack([np.interp(times, row, marks) for row in ends])
-        positions = np.stack([np.interp(arclength, corners, axis) for axis in np.asarray(knots, float).T], axis=-1)
-        if carried_off is not None:
-            start, stop, offset = carried_off
-            away = (times >= start) & (times < stop)
-            positions = positions + np.where(away[:, None], np.asarray(offset, float), 0.0)
-        return arclength, positions, *corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
-
-    arclength, positions, fixes, seen = in_blocks(travelled, keys, ends)
-    return SimulatedLine(times, arclength, positions, fixes, seen, np.asarray(knots, float), ids)
+    corners = tuple(map(tuple, np.asarray(knots, float).tolist()))
+    away = None if carried_off is None else (*carried_off[:2], tuple(carried_off[2]))
+    return LineDraw(tuple(errors.items()), situation, corners, speed, rest_s, rate_hz, away).drawn(n, seed)

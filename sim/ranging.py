@@ -9,9 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
+import equinox as eqx
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trackwright.sim.corruptions import (
@@ -25,15 +27,16 @@ from trackwright.sim.corruptions import (
     in_bursts,
     white_density,
 )
-from trackwright.sim.keys import Keys, in_blocks, normals, stream, trajectory_ids, trajectory_keys, uniforms
+from trackwright.sim.keys import Keys, in_blocks, in_dtype, namespace, normals, stream, trajectory_ids, trajectory_keys, uniforms
 from trackwright.sim.paths import PathFunction, hand_motion
-from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
+from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT, double_sided
+from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT
 
-Ranges = Float[np.ndarray, "n T anchors"]
+Ranges = Float[AnyArray, "n T anchors"]
 
 CHAMBER = np.array([[0.0, 0.0, 0.3], [5.0, 0.0, 2.5], [5.0, 5.0, 0.3], [0.0, 5.0, 2.5]])
 """Four anchors 5 m apart, m, as in the paper's chamber (section 4.1); heights, not printed, alternate low and high."""
@@ -64,23 +67,33 @@ class Protocol:
 def two_way_ranges(keys: Keys, distances: Ranges, protocol: Protocol) -> Ranges:
     """Ranges (n, T, anchors), m, measured by the protocol at these distances; the drift of a node is constant."""
     rows, anchors = distances.shape[1:]
-    flight = distances / SPEED_OF_LIGHT
-    rates = 1.0 + protocol.drift * normals(stream(keys, "clocks"), (anchors + 1,)).astype(float)
+    rates = protocol.drift * normals(stream(keys, "clocks"), (anchors + 1,)).astype(float)
     tag, anchor = rates[:, None, :1], rates[:, None, 1:]
-    # Every interval lies between two time stamps, each with independent noise.
-    stamps = protocol.sigma_stamp * normals(stream(keys, "stamps"), (rows, anchors, 6)).astype(float)
-    poll_sent, poll_received, reply_sent, reply_received, final_sent, final_received = np.moveaxis(stamps, -1, 0)
-    reply = protocol.reply_s
-    total = (2.0 * flight + reply) * anchor + reply_received - poll_sent
-    wait = reply * tag + reply_sent - poll_received
-    second_total = (2.0 * flight + reply) * tag + final_received - reply_sent
-    second_wait = reply * anchor + final_sent - reply_received
-    return double_sided(total, wait, second_total, second_wait)
+    # Every interval lies between two time stamps, each with independent noise; all as lengths, m.
+    stamps = protocol.sigma_stamp * normals(stream(keys, "stamps"), (rows, anchors, 6)).astype(float) * SPEED_OF_LIGHT
+    poll_sent, poll_received, reply_sent, reply_received, final_sent, final_received = (
+        stamps[..., k] for k in range(6)
+    )
+    # Equation (12) of Neirynck et al. as in `double_sided`, with (1 + rate) (2 flight + reply) + noise for round trips
+    # and (1 + rate) reply + noise for delays, multiplied out: the squares of the reply cancel, also in float32.
+    both, reply = (1.0 + tag) * (1.0 + anchor), protocol.reply_s * SPEED_OF_LIGHT
+    first, second = reply_received - poll_sent, final_received - reply_sent
+    delay, second_delay = reply_sent - poll_received, final_sent - reply_received
+    there = (1.0 + anchor) * second + (1.0 + tag) * first
+    back = (1.0 + tag) * second_delay + (1.0 + anchor) * delay
+    product = 4.0 * both * distances * (distances + reply) + 2.0 * distances * there + reply * (there - back)
+    product = product + (first * second - delay * second_delay)
+    noise = first + second + delay + second_delay
+    return product / (2.0 * (distances + reply) * (2.0 + tag + anchor) + noise)
 
 
 def antenna_biases(sigma: float) -> Corruption:
     """A constant bias of each anchor's ranges, m, normal with mean zero: uncalibrated antenna delays."""
-    return added(lambda keys, times, values: (sigma * normals(keys, values.shape[2:3]))[:, None].astype(values.dtype))
+    return added(_antenna_biases, sigma=sigma)
+
+
+def _antenna_biases(keys: Keys, times: Times, values: Values, *, sigma: float) -> Values:
+    return (sigma * normals(keys, values.shape[2:3]))[:, None]
 
 
 def obstruction(share: float, mean_length_s: float, bias: float, tail: float) -> Corruption:
@@ -88,43 +101,50 @@ def obstruction(share: float, mean_length_s: float, bias: float, tail: float) ->
 
     Meanwhile its ranges are too long by `bias` m plus exponential noise of mean `tail` m.
     """
-    fraction("the share of the time without line of sight", share)
+    share = fraction("the share of the time without line of sight", share)
+    return added(_detour, share=share, mean_length_s=mean_length_s, bias=bias, tail=tail)
 
-    def detour(keys: Keys, times: Times, values: Values) -> Values:
-        hidden = in_bursts(stream(keys, "hidden"), times, values.shape[2], share, mean_length_s)
-        draws = uniforms(stream(keys, "detour"), values.shape[1:]).astype(float)
-        return np.where(hidden, bias - tail * np.log1p(-draws), 0.0).astype(values.dtype)
 
-    return added(detour)
+def _detour(
+    keys: Keys, times: Times, values: Values, *, share: float, mean_length_s: float, bias: float, tail: float
+) -> Values:
+    hidden = in_bursts(stream(keys, "hidden"), times, values.shape[2], share, mean_length_s)
+    draws = in_dtype(uniforms(stream(keys, "detour"), values.shape[1:]), values)
+    xp = namespace(hidden, draws)
+    return xp.where(hidden, bias - tail * xp.log1p(-draws), 0.0)
 
 
 def on_anchors(anchors: Sequence[int], corruption: Corruption) -> Corruption:
     """The corruption restricted to the ranges of some anchors, which count from 0 in the rig's order."""
-    chosen = list(anchors)
+    return Partial(_on_anchors, tuple(anchors), corruption)
 
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        values, seen = values.copy(), seen.copy()
-        values[..., chosen], seen[..., chosen] = corruption(keys, times, values[..., chosen], seen[..., chosen])
-        return values, seen
 
-    return corrupt
+def _on_anchors(
+    chosen: tuple[int, ...], corruption: Corruption, keys: Keys, times: Times, values: Values, seen: Seen
+) -> tuple[Values, Seen]:
+    parts = corruption(keys, times, values[..., list(chosen)], seen[..., list(chosen)])
+    xp, order = namespace(*parts), [*(k for k in range(values.shape[-1]) if k not in chosen), *chosen]
+    rest, place = order[: -len(chosen)], np.argsort(order)
+    both = (xp.concatenate([x[..., rest], part], axis=-1) for x, part in zip((values, seen), parts, strict=True))
+    values, seen = (x[..., place] for x in both)
+    return values, seen
 
 
 def round_robin() -> Corruption:
     """Polling of the anchors in turn: one range per row instead of one to every anchor."""
 
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        turn = np.arange(values.shape[1])[:, None] % values.shape[2] == np.arange(values.shape[2])
-        return values, seen & turn
+    return Partial(_in_turn)
 
-    return corrupt
+
+def _in_turn(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
+    return values, seen & (np.arange(values.shape[1])[:, None] % values.shape[2] == np.arange(values.shape[2]))
 
 
 @dataclass(frozen=True)
 class SimulatedRanges:
     """Ranges of n tags at T times with their truth: m and s, anchors in the order of `rig.anchors`.
 
-    `ranges` are zero where not `seen`; `ids`: the trajectory ids.
+    `ranges` are zero where not `seen`; `ids`: the trajectory ids; `draw`: what drew them.
     """
 
     table: ClassVar[str] = "ranges"
@@ -135,6 +155,7 @@ class SimulatedRanges:
     seen: Bool[np.ndarray, "n T anchors"]
     rig: Rig
     ids: Int[np.ndarray, " n"]
+    draw: RangeDraw
 
     def rows(self) -> ArrayRows:
         """A row per range."""
@@ -152,7 +173,37 @@ class SimulatedRanges:
         heights = [float(z[0]) if np.ptp(z) == 0 else None for z in self.positions[..., 2]]
         tags = {str(i): Tag(height=height) for i, height in zip(self.ids, heights, strict=True)}
         tables = {self.table: self.rows(), "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
-        return folder_of(name, tables, tags, anchors=self.rig.anchors)
+        return folder_of(name, tables, tags, self.draw, anchors=self.rig.anchors)
+
+
+class RangeDraw(AbstractDraw):
+    """Ranges to all anchors of a rig: see `simulate_ranges`."""
+
+    corruptions: tuple[tuple[str, Corruption], ...]
+    rig: Rig = eqx.field(static=True)
+    path: PathFunction = eqx.field(static=True)
+    rate_hz: float = eqx.field(static=True)
+    n_points: int = eqx.field(static=True)
+    protocol: Protocol = eqx.field(static=True)
+
+    measured = MappingProxyType({"ranges": "seen"})
+    size = 32
+
+    @property
+    def times(self) -> Times:
+        return np.arange(self.n_points) / self.rate_hz
+
+    def __call__(self, keys: Keys) -> dict[str, Any]:
+        positions = self.path(stream(keys, "path"), self.times)
+        distances = distances_to(np.stack(list(self.rig.anchors.values())), positions)
+        ranges, seen = two_way_ranges(stream(keys, "two-way ranging"), distances, self.protocol), np.ones(distances.shape, bool)
+        ranges, seen = corrupted(self.corruptions, stream(keys, "corruptions"), self.times, ranges, seen)
+        # A tag reports no range that is not positive.
+        return {"positions": positions, "ranges": ranges, "seen": seen & (ranges > 0)}
+
+    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedRanges:
+        ranges = np.where(arrays["seen"], arrays["ranges"], 0.0)
+        return SimulatedRanges(self.times, **arrays | {"ranges": ranges}, rig=self.rig, ids=ids, draw=self)
 
 
 def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
@@ -160,10 +211,11 @@ def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
     return Rig("chamber", anchors={f"A{k + 1}": np.asarray(a, float) for k, a in enumerate(anchors)})
 
 
-def distances_to(anchors: Float[np.ndarray, "A 3"], positions: Float[np.ndarray, "n T 3"]) -> Ranges:
+def distances_to(anchors: Float[np.ndarray, "A 3"], positions: Float[AnyArray, "n T 3"]) -> Ranges:
     """The distances (n, T, A) of positions, m, from anchors."""
     x, y, z = (positions[..., None, axis] - anchors[:, axis] for axis in range(3))
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
+    distances: Ranges = namespace(x).sqrt(x * x + y * y + z * z)
+    return distances
 
 
 def simulate_ranges(
@@ -181,21 +233,8 @@ def simulate_ranges(
 
     `corruptions`: by name, which is the random stream, in order.
     """
-    ids = trajectory_ids(n)
-    keys = trajectory_keys(seed, ids)
-    times = np.arange(n_points) / rate_hz
-    anchors = np.stack(list(rig.anchors.values()))
-
-    def ranged(keys: Keys) -> tuple[np.ndarray, ...]:
-        positions = path(stream(keys, "path"), times)
-        distances = distances_to(anchors, positions)
-        ranges = two_way_ranges(stream(keys, "two-way ranging"), distances, protocol or Protocol())
-        corruption_keys, all_seen = stream(keys, "corruptions"), np.ones(ranges.shape, bool)
-        ranges, seen = corrupted(corruptions, corruption_keys, times, ranges, all_seen)
-        return positions, np.where(seen, ranges, 0.0), seen
-
-    positions, ranges, seen = in_blocks(ranged, keys, size=32)
-    return SimulatedRanges(times, positions, ranges, seen, rig, ids)
+    how = path, rate_hz, n_points, protocol or Protocol()
+    return RangeDraw(tuple(corruptions.items()), rig, *how).drawn(n, seed)
 
 
 Schedule = Literal["messages", "turns"]
@@ -217,6 +256,7 @@ class SimulatedDifferences:
     heard: Bool[np.ndarray, "n T anchors"]
     rig: Rig
     ids: Int[np.ndarray, " n"]
+    draw: DifferenceDraw
     schedule: Schedule = "messages"
 
     def rows(self) -> ArrayRows:
@@ -244,7 +284,33 @@ class SimulatedDifferences:
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: a row per difference, truth in space."""
         tables = {self.table: self.rows(), "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
-        return folder_of(name, tables, self.ids, anchors=self.rig.anchors)
+        return folder_of(name, tables, self.ids, self.draw, anchors=self.rig.anchors)
+
+
+class DifferenceDraw(AbstractDraw):
+    """Times of arrival from all anchors of a rig, as distances: see `simulate_differences`."""
+
+    corruptions: tuple[tuple[str, Corruption], ...]
+    rig: Rig = eqx.field(static=True)
+    path: PathFunction = eqx.field(static=True)
+    rate_hz: float = eqx.field(static=True)
+    n_points: int = eqx.field(static=True)
+    schedule: Schedule = eqx.field(static=True)
+
+    size = 32
+
+    @property
+    def times(self) -> Times:
+        return np.arange(self.n_points) / self.rate_hz
+
+    def __call__(self, keys: Keys) -> dict[str, Any]:
+        positions = self.path(stream(keys, "path"), self.times)
+        arrivals, keys = distances_to(np.stack(list(self.rig.anchors.values())), positions), stream(keys, "corruptions")
+        arrivals, heard = corrupted(self.corruptions, keys, self.times, arrivals, np.ones(arrivals.shape, bool))
+        return {"positions": positions, "arrivals": arrivals, "heard": heard}
+
+    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedDifferences:
+        return SimulatedDifferences(self.times, **arrays, rig=self.rig, ids=ids, draw=self, schedule=self.schedule)
 
 
 def simulate_differences(
@@ -263,18 +329,7 @@ def simulate_differences(
     `corruptions`: of the times of arrival (n, T, anchors), m, by name, in order: the noise of an arrival is in all
     differences with its anchor.
     """
-    ids = trajectory_ids(n)
-    times = np.arange(n_points) / rate_hz
-    anchors = np.stack(list(rig.anchors.values()))
-
-    def arrived(keys: Keys) -> tuple[np.ndarray, ...]:
-        positions = path(stream(keys, "path"), times)
-        arrivals = distances_to(anchors, positions)
-        heard = np.ones(arrivals.shape, bool)
-        return positions, *corrupted(corruptions, stream(keys, "corruptions"), times, arrivals, heard)
-
-    positions, arrivals, heard = in_blocks(arrived, trajectory_keys(seed, ids), size=32)
-    return SimulatedDifferences(times, positions, arrivals, heard, rig, ids, schedule)
+    return DifferenceDraw(tuple(corruptions.items()), rig, path, rate_hz, n_points, schedule).drawn(n, seed)
 
 
 OFFSETS = np.array([[0.0, 0.0, 0.0], [0.5, 0.25, 0.0], [0.5, -0.25, 0.0]])
@@ -361,7 +416,7 @@ def simulate_bodies(
     ids = trajectory_ids(n)
     times, anchors = np.arange(n_points) / rate_hz, np.stack(list(rig.anchors.values()))
 
-    def ranged(keys: Keys) -> tuple[np.ndarray, ...]:
+    def ranged(keys: Keys) -> dict[str, np.ndarray]:
         axle = rounds(stream(keys, "path"), times)
         along = np.gradient(axle, times, axis=1)
         headings = np.unwrap(np.arctan2(along[..., 1], along[..., 0]), axis=1)
@@ -370,16 +425,16 @@ def simulate_bodies(
         arms = np.stack([cosine * x - sine * y, sine * x + cosine * y, z + 0.0 * sine], axis=-1)
         positions = axle[:, :, None] + arms
         nothing = np.zeros((len(axle), len(times), len(anchors)))
-        shared, heard = corrupted(of_anchors, stream(keys, "anchors"), times, nothing, nothing == 0.0)
+        shared, heard = corrupted(of_anchors.items(), stream(keys, "anchors"), times, nothing, nothing == 0.0)
         distances = distances_to(anchors, positions.reshape(len(axle), -1, 3)).reshape(len(axle), len(times), -1)
         errors = stream(keys, "ranges")
-        ranges, seen = corrupted(of_ranges, errors, times, distances + np.tile(shared, tags), np.tile(heard, tags))
+        ranges, seen = corrupted(of_ranges.items(), errors, times, distances + np.tile(shared, tags), np.tile(heard, tags))
         ranges, seen = (a.reshape(*positions.shape[:3], -1) for a in (np.where(seen, ranges, 0.0), seen))
-        return positions, headings, ranges, seen, _driven(keys, times, axle, headings, wheels)
+        odometry = _driven(keys, times, axle, headings, wheels)
+        return {"positions": positions, "headings": headings, "ranges": ranges, "seen": seen, "odometry": odometry}
 
-    positions, headings, ranges, seen, odometry = in_blocks(ranged, trajectory_keys(seed, ids), size=32)
-    measured = None if wheels is None else odometry
-    return SimulatedBodies(times, positions, headings, ranges, seen, measured, rig, ids)
+    arrays: dict[str, Any] = in_blocks(ranged, trajectory_keys(seed, ids), size=32)
+    return SimulatedBodies(times, **arrays | ({"odometry": None} if wheels is None else {}), rig=rig, ids=ids)
 
 
 def _driven(
@@ -390,6 +445,6 @@ def _driven(
     speed = np.sqrt((np.diff(axle, axis=1) ** 2).sum(axis=-1)) / dt / np.sinc(turn / (2 * np.pi))
     readings = np.stack([speed, turn / dt], axis=-1)
     for k, sigma in enumerate(wheels or ()):
-        errors, part = {"noise": white_density(sigma)}, readings[..., k : k + 1]
+        errors, part = [("noise", white_density(sigma))], readings[..., k : k + 1]
         readings[..., k : k + 1], _ = corrupted(errors, stream(keys, f"wheels {k}"), times[:-1], part, part == part)
     return readings

@@ -10,62 +10,62 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int
 
 from trackwright.sim.corruptions import Corruption, corrupted, white_noise
-from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
+from trackwright.sim.keys import Keys, in_dtype, namespace, stream, uniforms
 from trackwright.sim.paths import PATHS, WORK_VOLUME, PathFunction
-from trackwright.sim.ranging import SimulatedRanges
-from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.sim.ranging import RangeDraw, SimulatedRanges
+from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
 from trackwright.trackers.aoa.phases import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
+from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.recordings.folder import RecordingFolder
 
-# All chunks have one shape, the last one padded: nothing is compiled twice, and a chunk fits the processor's cache.
-_CHUNK = 64
 _BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 
-def wrapped(angle: Float[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
-    """The angles wrapped into (-pi, pi], rad, float64."""
+def wrapped(angle: Float[AnyArray, "*shape"]) -> Float[AnyArray, "*shape"]:
+    """The angles wrapped into (-pi, pi], rad."""
     turn = 2 * np.pi
-    angle = np.asarray(angle, float)
-    return angle - turn * np.ceil(angle / turn - 0.5)
+    return angle - turn * namespace(angle).ceil(angle / turn - 0.5)
 
 
 def spherical_phases(
-    stations: Sequence[Station], positions: Float[np.ndarray, "*rows 3"]
-) -> Float[np.ndarray, "*rows stations antennas"]:
+    stations: Sequence[Station], positions: Float[AnyArray, "*rows 3"]
+) -> Float[AnyArray, "*rows stations antennas"]:
     """Phases (..., stations, antennas), rad in (-pi, pi], of spherical waves from beacons at positions (..., 3), m.
 
     The phase of antenna i is -2 pi / lambda times its distance from the beacon. Raises ValueError for stations without
     an array or with arrays of unequal size.
     """
     antennas, wavelengths = antenna_arrays(stations)
-    x, y, z = np.moveaxis(np.asarray(positions, float)[..., None, None, :], -1, 0)
-    distances = np.sqrt((x - antennas[..., 0]) ** 2 + (y - antennas[..., 1]) ** 2 + (z - antennas[..., 2]) ** 2)
+    xp = namespace(positions)
+    x, y, z = xp.moveaxis(xp.asarray(positions, float)[..., None, None, :], -1, 0)
+    distances = xp.sqrt((x - antennas[..., 0]) ** 2 + (y - antennas[..., 1]) ** 2 + (z - antennas[..., 2]) ** 2)
     return wrapped(distances * (-2 * np.pi / wavelengths[:, None]))
 
 
 def plane_phases(
-    stations: Sequence[Station], positions: Float[np.ndarray, "*rows 3"]
-) -> Float[np.ndarray, "*rows stations antennas"]:
+    stations: Sequence[Station], positions: Float[AnyArray, "*rows 3"]
+) -> Float[AnyArray, "*rows stations antennas"]:
     """Phases (..., stations, antennas) of plane waves, equation (9): 2 pi / lambda * p_i . u.
 
     An approximation for distant beacons; for worlds in which a tracker's model is exact. Shapes, units and errors as in
     `spherical_phases`.
     """
     antenna_arrays(stations)
-    columns = []
+    columns, xp = [], namespace(positions)
     for station in stations:
-        x, y, z = np.moveaxis(station.position_in_array(positions), -1, 0)
-        wave_number = 2 * np.pi / (station.wavelength * np.sqrt(x**2 + y**2 + z**2))
+        x, y, z = xp.moveaxis(station.position_in_array(positions), -1, 0)
+        wave_number = 2 * np.pi / (station.wavelength * xp.sqrt(x**2 + y**2 + z**2))
         flat = np.asarray(station.antennas)
         columns.append((wave_number * x)[..., None] * flat[:, 0] + (wave_number * y)[..., None] * flat[:, 1])
-    return wrapped(np.stack(columns, axis=-2))
+    return wrapped(xp.stack(columns, axis=-2))
 
 
 def antenna_arrays(
@@ -82,12 +82,16 @@ def antenna_arrays(
     return antennas, np.array([station.wavelength for station in stations], float)
 
 
+WAVES = MappingProxyType({"spherical": spherical_phases, "plane": plane_phases})
+
+
 @dataclass(frozen=True)
 class SimulatedPhases:
     """Phases of n beacons at T times with their truth.
 
     `times` (T,) s; `positions` (n, T, 3) m, float64; `phases` (n, T, stations, antennas) rad in (-pi, pi], float32,
-    zero where not `seen`; stations in the order of `rig.stations`; `ids` (n,): the trajectory ids.
+    zero where not `seen`; stations in the order of `rig.stations`; `ids` (n,): the trajectory ids; `draw`: what drew
+    them.
     """
 
     times: Float[np.ndarray, " T"]
@@ -96,6 +100,7 @@ class SimulatedPhases:
     seen: Bool[np.ndarray, "n T stations antennas"]
     rig: Rig
     ids: Int[np.ndarray, " n"]
+    draw: PhaseDraw
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: a row of phases per tag, time and station with at least one, and truth in space."""
@@ -113,7 +118,41 @@ class SimulatedPhases:
             {"station": (station, list(self.rig.stations))},
         )
         tables = {"phases": phases, "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
-        return folder_of(name, tables, self.ids, stations=self.rig.stations)
+        return folder_of(name, tables, self.ids, self.draw, stations=self.rig.stations)
+
+
+class PhaseDraw(AbstractDraw):
+    """Phases at the stations of a rig: see `simulate_phases`."""
+
+    noise: tuple[tuple[str, Corruption], ...]
+    corruptions: tuple[tuple[str, Corruption], ...]
+    rig: Rig = eqx.field(static=True)
+    path: PathFunction = eqx.field(static=True)
+    wave: str = eqx.field(static=True)
+    rate_hz: float = eqx.field(static=True)
+    n_points: int = eqx.field(static=True)
+
+    measured = MappingProxyType({"phases": "seen"})
+    size = 64
+
+    @property
+    def times(self) -> Float[np.ndarray, " T"]:
+        return np.arange(self.n_points) / self.rate_hz
+
+    def __call__(self, keys: Keys) -> dict[str, Any]:
+        times, stations = self.times, list(self.rig.stations.values())
+        positions = self.path(stream(keys, "path"), times)
+        common = uniforms(stream(keys, "common phase"), (self.n_points, len(stations)))
+        values = WAVES[self.wave](stations, positions) + 2 * np.pi * in_dtype(common, positions)[..., None]
+        values, seen = corrupted(self.noise, keys, times, values.astype(np.float32), np.ones(values.shape, bool))
+        values, seen = corrupted(self.corruptions, stream(keys, "corruptions"), times, values, seen)
+        # In float32, pi is rounded up: the clip keeps the values in (-pi, pi].
+        values = namespace(values).clip(wrapped(values.astype(float)).astype(np.float32), -_BELOW_PI, _BELOW_PI)
+        return {"positions": positions, "phases": values, "seen": seen}
+
+    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedPhases:
+        phases = np.where(arrays["seen"], arrays["phases"], np.float32(0))
+        return SimulatedPhases(self.times, **arrays | {"phases": phases}, rig=self.rig, ids=ids, draw=self)
 
 
 def work_station(antennas: Float[np.ndarray, "n 2"] | None = None, radius: float = 0.4) -> Rig:
@@ -179,32 +218,11 @@ def simulate_phases(
     `corruptions`: by name, which is the random stream, in order. A trajectory depends on the seed and its id alone.
     Raises ValueError for stations without arrays.
     """
-    stations = list(rig.stations.values())
-    shape = antenna_arrays(stations)[0].shape[:2]
+    antenna_arrays(list(rig.stations.values()))
+    noise = {} if isinstance(sigma_p, float | int) and sigma_p <= 0 else {"phase noise": white_noise(sigma_p)}
     move = PATHS[path] if isinstance(path, str) else path
-    waves = {"spherical": spherical_phases, "plane": plane_phases}[wave]
-    noise = {"phase noise": white_noise(sigma_p)} if sigma_p > 0 else {}
-    times = np.arange(n_points) / rate_hz
-
-    ids = trajectory_ids(n)
-    positions = np.empty((len(ids), n_points, 3))
-    phases = np.empty((len(ids), n_points, *shape), np.float32)
-    seen = np.empty(phases.shape, bool)
-    for start in range(0, len(ids), _CHUNK):
-        chunk = ids[start : start + _CHUNK]
-        here = slice(start, start + len(chunk))
-        keys = trajectory_keys(seed, np.pad(chunk, (0, _CHUNK - len(chunk)), mode="edge"))
-        where = move(stream(keys, "path"), times)
-        common = 2 * np.pi * uniforms(stream(keys, "common phase"), (n_points, shape[0])).astype(float)
-        values = waves(stations, where) + common[..., None]
-        values, visible = corrupted(noise, keys, times, values.astype(np.float32), np.ones(values.shape, bool))
-        values, visible = corrupted(corruptions, stream(keys, "corruptions"), times, values, visible)
-        # In float32, pi is rounded up: the clip keeps the values in (-pi, pi].
-        values = np.clip(wrapped(values).astype(np.float32), -_BELOW_PI, _BELOW_PI)
-        positions[here] = where[: len(chunk)]
-        phases[here] = np.where(visible, values, np.float32(0))[: len(chunk)]
-        seen[here] = visible[: len(chunk)]
-    return SimulatedPhases(times, positions, phases, seen, rig, ids)
+    how = rig, move, wave, rate_hz, n_points
+    return PhaseDraw(tuple(noise.items()), tuple(corruptions.items()), *how).drawn(n, seed)
 
 
 def with_stations(rig: Rig, centre: Float[np.ndarray, " 3"], count: int) -> Rig:
@@ -223,6 +241,7 @@ class SimulatedFusion:
     ranges: SimulatedRanges
     angles: Float[np.ndarray, "n T angles"]
     seen: Bool[np.ndarray, "n T angles"]
+    draw: FusionDraw
 
     @property
     def ids(self) -> Int[np.ndarray, " n"]:
@@ -246,22 +265,45 @@ class SimulatedFusion:
         measured = self.ranges
         truth = ArrayRows.regular(measured.times, self.ids, {AXES: measured.positions})
         tables = {"ranges": measured.rows(), "bearings": self.rows(), "truth": truth}
-        return folder_of(name, tables, self.ids, anchors=measured.rig.anchors, stations=measured.rig.stations)
+        rig = measured.rig
+        return folder_of(name, tables, self.ids, self.draw, anchors=rig.anchors, stations=rig.stations)
+
+
+class FusionDraw(AbstractDraw):
+    """Ranges, and angles at the stations of their rig: see `simulate_fusion`."""
+
+    ranges: RangeDraw
+    corruptions: tuple[tuple[str, Corruption], ...]
+
+    measured = MappingProxyType({"ranges": "heard", "angles": "seen"})
+    size = 32
+
+    @property
+    def times(self) -> Float[np.ndarray, " T"]:
+        return self.ranges.times
+
+    def __call__(self, keys: Keys) -> dict[str, Any]:
+        ranged = self.ranges(keys)
+        ranged["heard"] = ranged.pop("seen")
+        stations, xp = self.ranges.rig.stations.values(), namespace(ranged["positions"])
+        angles = xp.concatenate([station.angles(ranged["positions"]) for station in stations], axis=2)
+        keys, all_seen = stream(stream(keys, "angles"), "corruptions"), np.ones(angles.shape, bool)
+        angles, seen = corrupted(self.corruptions, keys, self.times, angles, all_seen)
+        return {**ranged, "angles": angles, "seen": seen}
+
+    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedFusion:
+        of_ranges = {"positions": arrays["positions"], "ranges": arrays["ranges"], "seen": arrays["heard"]}
+        return SimulatedFusion(self.ranges.world(of_ranges, ids), arrays["angles"], arrays["seen"], self)
 
 
 def simulate_fusion(
-    ranges: SimulatedRanges, seed: int, corruptions: Mapping[str, Corruption] = MappingProxyType({})
+    ranges: RangeDraw,
+    n: int | Sequence[int] | np.ndarray,
+    seed: int,
+    corruptions: Mapping[str, Corruption] = MappingProxyType({}),
 ) -> SimulatedFusion:
-    """The ranges with the angles at the stations of their rig; `seed`: of the ranges.
+    """Trajectories with ranges, and with angles at the stations of their rig.
 
     `corruptions`: of the angles (n, T, 2·S), rad, by name, which is the random stream, in order.
     """
-    stations = list(ranges.rig.stations.values())
-
-    def measured(keys: Keys, positions: np.ndarray) -> tuple[np.ndarray, ...]:
-        angles = np.concatenate([station.angles(positions) for station in stations], axis=2)
-        keys = stream(stream(keys, "angles"), "corruptions")
-        return corrupted(corruptions, keys, ranges.times, angles, np.ones(angles.shape, bool))
-
-    angles, seen = in_blocks(measured, trajectory_keys(seed, ranges.ids), ranges.positions, size=32)
-    return SimulatedFusion(ranges, angles, seen)
+    return FusionDraw(ranges, tuple(corruptions.items())).drawn(n, seed)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
+import equinox as eqx
 import numpy as np
 import polars as pl
 from jaxtyping import Float, Int, Shaped
 
+from trackwright.sim.keys import Keys, in_blocks, trajectory_ids, trajectory_keys
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.columns import TagRows, TruePaths
 from trackwright.trackers.recordings.folder import RecordingFolder, Tables
@@ -83,12 +86,43 @@ class ArrayRows(TagRows):
         return pl.DataFrame(columns).sort("t_s", maintain_order=True)
 
 
-class SimulatedTables(Tables):
-    """Tables whose rows are arrays; a data frame is made of them when it is first read."""
+class AbstractDraw(eqx.Module):
+    """What draws the trajectories of a world: called with keys (n,), it returns its arrays (n, …) by name.
 
-    def __init__(self, rows: Mapping[str, ArrayRows]) -> None:
+    It works in NumPy and inside a traced program. Its levels may be traced; what decides shapes is static.
+    """
+
+    measured: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """By the name of an array of readings, that of the mask of the same shape that says which there are."""
+
+    size: ClassVar[int] = 256
+    """Trajectories drawn together in NumPy."""
+
+    @property
+    @abstractmethod
+    def times(self) -> Float[np.ndarray, " T"]:
+        """The times of the array `positions` (n, T, 3), the truth, s."""
+
+    @abstractmethod
+    def __call__(self, keys: Keys) -> dict[str, Any]:
+        """The arrays of the trajectories with these keys (n,), readings that are not there included."""
+
+    @abstractmethod
+    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> Any:
+        """The simulated world of these arrays: an object with a method `folder(name)`."""
+
+    def drawn(self, n: int | Sequence[int] | np.ndarray, seed: int) -> Any:
+        """The world of `n` trajectories, or of those with the ids `n`."""
+        ids = trajectory_ids(n)
+        return self.world(in_blocks(self, trajectory_keys(seed, ids), size=self.size), ids)
+
+
+class SimulatedTables(Tables):
+    """Tables whose rows are arrays; a data frame is made of them when it is first read. `draw`: what drew them."""
+
+    def __init__(self, rows: Mapping[str, ArrayRows], draw: AbstractDraw | None = None) -> None:
         super().__init__({})
-        self._arrays = rows
+        self._arrays, self.draw = rows, draw
 
     def __getitem__(self, name: str) -> pl.DataFrame:
         if name not in self._frames:
@@ -114,12 +148,17 @@ AXES = ("x_m", "y_m", "z_m")  # the columns of a position
 
 
 def folder_of(
-    name: str, tables: Mapping[str, ArrayRows], tags: Mapping[str, Tag] | np.ndarray, **geometry: Any
+    name: str,
+    tables: Mapping[str, ArrayRows],
+    tags: Mapping[str, Tag] | np.ndarray,
+    draw: AbstractDraw | None = None,
+    **geometry: Any,
 ) -> RecordingFolder:
     """The recording folder of the tables.
 
-    `tags`: by name, or the ids of tags without a known height or offset. `geometry`: further fields of the rig.
+    `tags`: by name, or the ids of tags without a known height or offset. `draw`: what drew the tables. `geometry`:
+    further fields of the rig.
     """
     known = tags if isinstance(tags, Mapping) else {str(i): Tag() for i in tags}
     rig = Rig(name, tags=known, about="Simulated, see manifest.json.", **geometry)
-    return RecordingFolder(name, None, rig, SimulatedTables(tables))
+    return RecordingFolder(name, None, rig, SimulatedTables(tables, draw))

@@ -308,17 +308,17 @@ def fusion(
         lost: share of the ranges and of the angles that are missing.
     """
     from trackwright.sim import corruptions
-    from trackwright.sim.ranging import WALK_VOLUME, chamber, simulate_ranges
+    from trackwright.sim.ranging import WALK, WALK_VOLUME, Protocol, RangeDraw, chamber
     from trackwright.sim.stations import simulate_fusion, with_stations
 
     rig = with_stations(chamber(), WALK_VOLUME.mean(axis=0), stations)
     errors = _errors_of_anchors(bias, 0.0, hidden, sigma_r, lost)
-    ranged = simulate_ranges(rig, n=_ids(n, ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=errors)
+    ranged = RangeDraw(tuple(errors.items()), rig, WALK, rate_hz, rows, Protocol())
     of_angles = _present(
         {"drift": (corruptions.gauss_markov, bias_angle, 5.0), "white": (corruptions.white_noise, sigma_angle),
          "lost": (corruptions.drop_outs, lost)}
     )  # fmt: skip
-    return SimulatedWorld(f"simulated-fusion-{seed}", simulate_fusion(ranged, seed, of_angles))
+    return SimulatedWorld(f"simulated-fusion-{seed}", simulate_fusion(ranged, _ids(n, ids), seed, of_angles))
 
 
 def _errors_of_anchors(bias: float, drift: float, hidden: float, sigma: float, lost: float) -> dict[str, Corruption]:
