@@ -45,8 +45,7 @@ class Route:
         xp, ends = namespace(arclength), self._ends()
         s = xp.fmod(xp.asarray(arclength), ends[-1])
         s = xp.where(s < 0, s + ends[-1], s)
-        part = xp.minimum(xp.searchsorted(ends, s, side="right"), len(ends) - 1)
-        along = s - xp.asarray(np.concatenate([[0.0], ends]))[part]
+        part = xp.minimum(sum((s >= end).astype(np.int32) for end in ends), len(ends) - 1)
         # Of each part: each side starts at the end of the corner before it; the first side starts at its middle.
         parts = np.arange(len(ends))
         quarter, turns = parts // 2 % 4, parts % 2 == 1
@@ -56,11 +55,15 @@ class Route:
         begin = corner + self.radius * np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
         side = np.array([self.width, self.depth, self.width, self.depth])[quarter] - 2 * self.radius
         side[0] /= 2
-        of_part = xp.asarray(np.stack([side, heading, *begin.T, *direction.T, *corner.T]))[:, part]
-        back, angle = of_part[0] - along, of_part[1] + along / self.radius
-        straight = of_part[2:4] - back * of_part[4:6]
-        round_it = of_part[6:8] + self.radius * xp.stack([xp.sin(angle), -xp.cos(angle)])
-        return xp.moveaxis(xp.where(xp.asarray(turns)[part], round_it, straight), 0, -1)
+        of_parts = np.stack([np.concatenate([[0.0], ends[:-1]]), side, heading, turns, *begin.T, *direction.T, *corner.T])
+        # A product with zeros and a one: in a program a look-up takes several times as long as the filter.
+        at = (part == parts.reshape(-1, *[1] * s.ndim)).astype(s.dtype)
+        start, side, heading, turning, *points = xp.tensordot(of_parts.astype(s.dtype), at, 1)
+        along = s - start
+        back, angle = side - along, heading + along / self.radius
+        straight = [begin - back * direction for begin, direction in zip(points[:2], points[2:4], strict=True)]
+        turned = [points[4] + self.radius * xp.sin(angle), points[5] - self.radius * xp.cos(angle)]
+        return xp.stack([xp.where(turning > 0, a, b) for a, b in zip(turned, straight, strict=True)], axis=-1)
 
     def distance(self, points: Float[np.ndarray, "*rows 2"]) -> Float[np.ndarray, "*rows"]:
         """The distance of points (..., 2), m, from the route, inside or outside: an error without regard to time."""

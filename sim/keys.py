@@ -41,7 +41,12 @@ def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
     whole = numbers.ndim == 1 and np.issubdtype(numbers.dtype, np.integer)
     if not whole or not np.all((numbers >= 0) & (numbers < 2**32)):
         raise ValueError(f"trajectory ids are a list of whole numbers from 0 to 2**32 - 1, found {numbers!r}")
-    return _fold_each(jax.random.key(seed, impl=_GENERATOR), jnp.asarray(numbers.astype(np.uint32)))
+    return keys_of(jax.random.key_data(jax.random.key(seed, impl=_GENERATOR)), numbers.astype(np.uint32))
+
+
+def keys_of(seed_key: UInt32[AnyArray, " 2"], ids: UInt32[AnyArray, " n"]) -> Keys:
+    """The keys of trajectory ids (n,) from the data of the seed's key; traceable."""
+    return _fold_each(jax.random.wrap_key_data(jnp.asarray(seed_key), impl=_GENERATOR), jnp.asarray(ids))
 
 
 def stream(keys: Keys, name: str) -> Keys:
@@ -67,22 +72,23 @@ def in_dtype(numbers: AnyArray, of: AnyArray) -> Any:
 
 def normals(keys: Keys, shape: tuple[int, ...]) -> Float32[AnyArray, "n *shape"]:
     """Standard normal float32 numbers (n, *shape); row i depends on key i alone."""
-    return _untraced(_normals(keys, math.prod(shape))).reshape(-1, *shape)
+    return _drawn(_normals, keys, math.prod(shape)).reshape(-1, *shape)
 
 
 def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float32[AnyArray, "n *shape"]:
     """Uniform float32 numbers in [0, 1), (n, *shape); row i depends on key i alone."""
-    return _untraced(_uniforms(keys, math.prod(shape))).reshape(-1, *shape)
+    return _drawn(_uniforms, keys, math.prod(shape)).reshape(-1, *shape)
 
 
-def _untraced(numbers: jax.Array) -> AnyArray:
-    """The numbers in NumPy, unless they are traced."""
-    return numbers if isinstance(numbers, jax.core.Tracer) else np.asarray(numbers)
-
-
-def each(function: Callable[[Any], Any], rows: AnyArray) -> Any:
-    """The function of each of the rows (n, …), stacked."""
-    return jax.vmap(function)(rows) if namespace(rows) is jnp else np.stack([function(row) for row in rows])
+def _drawn(draw: Callable[[Keys, int], jax.Array], keys: Keys, size: int) -> Float32[AnyArray, "n size"]:
+    """The numbers of each key, in NumPy unless the keys are traced."""
+    if not isinstance(keys, jax.core.Tracer):
+        return np.asarray(draw(keys, size))
+    # In a loop, which keeps them in memory: elsewhere XLA joins all generators of a draw in one kernel, which takes ten
+    # times as long.
+    n, blocks = len(keys), 4
+    by_block = keys[np.minimum(np.arange(-(-n // blocks) * blocks), n - 1)].reshape(blocks, -1)
+    return jax.lax.map(lambda block: draw(block, size), by_block).reshape(-1, size)[:n]
 
 
 def in_blocks(

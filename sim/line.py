@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trackwright.sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
-from trackwright.sim.keys import Keys, each, namespace, repeated, stream, trajectory_keys, uniforms
+from trackwright.sim.keys import Keys, namespace, repeated, stream, trajectory_keys, uniforms
 from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
 from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.polyline import Polyline
@@ -58,6 +58,16 @@ def speed_changes(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations
 SITUATIONS = MappingProxyType({"constant": constant_speed, "halts": halts, "speeds": speed_changes})
 """The three situations of section 2.5: of keys, lengths and mean speed the travel time on each segment and the rest
 after it, both (n, k), or (1, k) for all, s."""
+
+
+def piecewise_linear(x: AnyArray, knots: AnyArray, values: Float[np.ndarray, " k"]) -> AnyArray:
+    """The values at x, linear between rising knots (k, …) and constant beyond them; as ramps, without a search."""
+    ramps = (
+        rise * namespace(x, width).clip((x - knot) / namespace(width).where(width > 0, width, 1.0), 0.0, 1.0)
+        for knot, width, rise in zip(knots, knots[1:] - knots[:-1], np.diff(values), strict=False)
+        if rise
+    )
+    return values[0] + sum(ramps)
 
 
 @dataclass(frozen=True)
@@ -117,8 +127,8 @@ class LineDraw(AbstractDraw):
         lengths = np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1))
         marks = np.concatenate([[0.0], np.repeat(np.cumsum(lengths), 2)])
         corners, xp = np.concatenate([[0.0], np.cumsum(lengths)]), namespace(ends)
-        arclength = each(lambda row: xp.interp(times, row, marks), ends)
-        positions = xp.stack([xp.interp(arclength, corners, axis) for axis in knots.T], axis=-1)
+        arclength = piecewise_linear(times, ends.T[..., None], marks)
+        positions = xp.stack([piecewise_linear(arclength, corners, axis) for axis in knots.T], axis=-1)
         if self.carried_off is not None:
             start, stop, offset = self.carried_off
             away = (times >= start) & (times < stop)

@@ -99,9 +99,10 @@ def _histograms(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def bins(values: np.ndarray) -> np.ndarray:
     """The bin number of each value."""
+    xp = values.__array_namespace__()
     with np.errstate(divide="ignore"):
-        at = np.ceil(np.log(np.maximum(values, 0.0) / SMALLEST) / BIN_WIDTH)
-    return np.clip(at, 0, BINS - 1).astype(np.int64)
+        at = xp.ceil(xp.log(xp.maximum(values, 0.0) / SMALLEST) / BIN_WIDTH)
+    return xp.clip(at, 0, BINS - 1).astype(np.int32)
 
 
 def tracked_runs(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -62,15 +62,15 @@ def eliminated(errors: Errors, upper: Entries) -> list[tuple[Float[np.ndarray, "
 
     The density of the error is the product of the normal ones of these. `upper`: the `upper_entries` of P.
     """
-    remainder = [np.asarray(x, float) for x in errors.T]
-    P = {at: np.asarray(x, float) for (i, j), x in upper.items() for at in ((i, j), (j, i))}
-    parts: list[tuple[np.ndarray, np.ndarray]] = []
+    xp = errors.__array_namespace__()
+    remainder = [xp.asarray(errors[..., k], float) for k in range(errors.shape[-1])]
+    P = {at: xp.asarray(x, float) for (i, j), x in upper.items() for at in ((i, j), (j, i))}
+    parts: list[tuple[Any, Any]] = []
     least = [1e-12 * P[j, j] for j in range(len(remainder))]  # what rounding leaves of a singular P
     # Covariances of a damaged file may overflow; the NEES of their rows is infinite or NaN.
     with np.errstate(over="ignore", invalid="ignore"):
         for j, reduced in enumerate(remainder):
-            positive = P[j, j] > least[j]
-            pivot = P[j, j] if positive.all() else np.where(positive, P[j, j], math.nan)
+            pivot = xp.where(P[j, j] > least[j], P[j, j], math.nan)
             parts.append((reduced, pivot))
             for a in range(j + 1, len(remainder)):
                 gain = P[a, j] / pivot

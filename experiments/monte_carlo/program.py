@@ -1,0 +1,401 @@
+"""A chunk of a study as one program: its trajectories are drawn, tracked and scored without leaving the device.
+
+Where each number of a tracker's rows comes from is found by two trajectories of the world with all readings there: a
+reading is the drawn number that it equals in both. A tracker whose rows hold anything else that depends on the
+readings, as the position from which trackers of ranges start, has no such program: `chunk.py` runs it on recordings.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from trackwright.experiments.monte_carlo.tracked import BINS, bins
+from trackwright.sim.keys import keys_of, trajectory_keys
+from trackwright.sim.tables import AbstractDraw, SimulatedTables
+from trackwright.trackers.core.data.consistency import chi_square_quantile, eliminated
+from trackwright.trackers.core.data.estimates import Status, is_usable
+from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.model.algebra import triangle
+from trackwright.trackers.core.model.inputs import AnyArray
+from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.sensor import Reading
+from trackwright.trackers.core.model.state import component_names
+from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.evaluation.metrics import LEVELS
+from trackwright.trackers.evaluation.rows import ANGLES, AXES, bearing_sizes, position_sizes
+from trackwright.trackers.programs.traced_programs import Program, compiled_program, kept_program
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.trajectories import Trajectories
+
+SEEN = 0.7
+"""Share of times, and of their readings, that are there in the third of the trajectories by which rows are understood.
+"""
+
+TICKS = 2**30
+"""Steps into which the time of a trajectory is divided: float32 has no more than 2²⁴."""
+
+
+class Unfit(Exception):
+    """A tracker's rows that do not follow from a world's arrays number by number."""
+
+
+class Rows(eqx.Module):
+    """How the rows of a tracker follow from the arrays of n drawn trajectories, of each S sequences of R rows.
+
+    There are several sequences where a tracker takes each station by itself. `places` (S, R, m): of each reading among
+    the drawn numbers, where `there`; `reported` and `inputs`: constant. `ticks` (R,): the times of the rows, in steps of
+    `tick` s, `group`, equal for rows of one time, and `interval`, in which only the last row is scored; `truth`: the
+    number of the true position. `heights` (S,) m: known ones, NaN for none.
+    """
+
+    places: dict[str, Int[np.ndarray, "S R m"]]
+    there: dict[str, Bool[np.ndarray, "S R m"]]
+    reported: dict[str, Float[AnyArray, "S R k"]]
+    inputs: dict[str, Float[AnyArray, "S R *shape"]]
+    ticks: Int[np.ndarray, " R"]
+    tick: float
+    group: Int[np.ndarray, " R"]
+    interval: Int[np.ndarray, " R"]
+    truth: Int[np.ndarray, " R"]
+    heights: Float[AnyArray, " S"]
+    truth_height: float
+    stations: tuple[Station, ...] = eqx.field(static=True)
+    times_differ: bool = eqx.field(static=True)
+    regular: bool = eqx.field(static=True)
+
+    def batch(self, measured: Mapping[str, str], arrays: Mapping[str, Array]) -> Batch:
+        """The batch of the S n sequences, those of one station side by side.
+
+        A row without any reading is padding, unless the rows are `regular`.
+        """
+        values, seen = (_flat([arrays[name] for name in names]) for names in zip(*measured.items(), strict=True))
+
+        def constant(x: AnyArray) -> Array:
+            """(S, R, …) as (R, …, S n)."""
+            return jnp.repeat(jnp.moveaxis(x, 0, -1), values.shape[-1], axis=-1)
+
+        def gathered(x: Array, place: AnyArray) -> Array:
+            # One sequence after the other: a transpose of them all takes several times as long as the filter.
+            return jnp.concatenate([x[of_sequence] for of_sequence in place], axis=-1)
+
+        readings = {}
+        for name, place in self.places.items():
+            there = gathered(seen, place) & constant(self.there[name])
+            numbers = jnp.where(there, gathered(values, place), 0.0)
+            readings[name] = Reading(numbers, there, constant(self.reported[name]))
+        valid = jnp.any(jnp.concatenate([r.seen for r in readings.values()], axis=1), axis=1) | self.regular
+        inputs = {name: constant(x) for name, x in self.inputs.items()}
+        key = jnp.zeros((2, valid.shape[1]), jnp.uint32)
+        return Batch(self._steps(valid), valid, readings, inputs, {}, key)
+
+    def _steps(self, valid: Bool[Array, "R B"]) -> Float[Array, "R B"]:
+        """The time since the last valid row, s; zero for the first one."""
+        ticks = jnp.asarray(self.ticks)[:, None]
+        latest = jax.lax.cummax(jnp.where(valid, ticks, -1))
+        before = jnp.concatenate([jnp.full_like(latest[:1], -1), latest[:-1]])
+        return jnp.where(valid & (before >= 0), ticks - before, 0).astype(self.heights.dtype) * self.tick
+
+    def true(self, arrays: Mapping[str, Array]) -> Float[Array, "R B axes"]:
+        """The truth of all rows: positions (x, y, z), m, or azimuth and elevation from each station, rad."""
+        positions = arrays["positions"][:, self.truth]
+        if positions.shape[-1] == 2:
+            height = jnp.full_like(positions[..., :1], self.truth_height)
+            positions = jnp.concatenate([positions, height], axis=-1)
+        each = [s.angles(positions) for s in self.stations] or [positions] * len(self.heights)
+        return jnp.moveaxis(jnp.concatenate(each), 0, 1)
+
+    def scored(self, output: tuple[Array, ...], truth: Float[Array, "R B axes"]) -> dict[str, Array]:
+        """The sums of the terms of each of the n trajectories, their largest errors, and the rows' cells."""
+        *moments, nis, dof, status = output
+        axes = {2: 1, 5: 2, 9: 3}[len(moments)]
+        E = jnp.stack(moments[:axes], axis=-1)
+        P = dict(zip(triangle(axes), moments[axes:], strict=True))
+        there, known = status != Status.PADDING, self._known(status, jnp.isfinite(E[..., :2]).all(axis=-1))
+        if self.stations:
+            names, (errors, sizes) = ANGLES, bearing_sizes(E, truth)
+        else:
+            if axes < 3:
+                height = jnp.repeat(self.heights, E.shape[1] // len(self.heights))
+                E = jnp.concatenate([E, jnp.broadcast_to(height[:, None], (*E.shape[:2], 1))], axis=-1)
+            names, errors = AXES, E - truth
+            sizes = position_sizes(errors)
+
+        def total(x: Array) -> Array:
+            return x.sum(axis=0, dtype=nis.dtype).reshape(len(self.heights), -1).sum(axis=0)
+
+        def of_known(x: Array) -> Array:
+            return total(jnp.where(known, x, 0.0))
+
+        sums = {"n_rows": total(there), "n": total(known), "lost rows": total(status == Status.LOST)}
+        drawn: dict[str, Array] = {}
+        for kind, size in sizes.items():
+            counted = known & ~jnp.isnan(size)
+            sums |= {f"n {kind}": total(counted), f"sum {kind}": total(jnp.where(counted, size, 0.0))}
+            sums[f"squares {kind}"] = total(jnp.where(counted, size**2, 0.0))
+            if axes < 3 and kind == "3d_m":
+                drawn |= {name.replace(" m", f" {kind}"): x for name, x in drawn.items()}
+            else:
+                drawn |= self._spread(kind, jnp.where(counted, size, -1.0))
+        sums |= {f"bias {name}": of_known(errors[..., k]) for k, name in enumerate(names)}
+        values, so_far = [], 0.0
+        for reduced, pivot in eliminated(errors[..., :axes], P):
+            values.append(so_far := so_far + reduced**2 / pivot)
+        for name, value, d in zip(("nees", "nees_3d"), values[1:], (2, 3), strict=False):
+            finite = known & jnp.isfinite(value)
+            sums |= {f"n {name}": total(finite), f"sum {name}": total(jnp.where(finite, value, 0.0))}
+            for p in LEVELS:
+                sums[f"inside {p} {name}"] = total(known & (value <= chi_square_quantile(p / 100, d)))
+            sums[f"judged {name}"] = total(known & ~jnp.isnan(value))
+        counted = there & jnp.isfinite(nis) & (dof > 0)
+        sums |= {"nis": total(jnp.where(counted, nis, 0.0)), "dof": total(jnp.where(counted, dof, 0.0))}
+        failed, lost = total(status == Status.NON_FINITE), total(status == Status.RESTARTED)
+        sums |= {"n nis": total(counted), "diverged": (failed + lost + sums["lost rows"]) > 0}
+        sums |= {"failed": (failed > 0) | (sums["n"] == 0), "trajectories": jnp.ones_like(failed)}
+        return {f"sum {name}": x for name, x in sums.items()} | drawn
+
+    def _known(self, status: Int[Array, "R B"], finite: Bool[Array, "R B"]) -> Bool[Array, "R B"]:
+        """The rows that are scored: the last of each time, of those with an estimate the last of each interval."""
+
+        def last(rows: Bool[Array, "R B"], number: Int[np.ndarray, " R"]) -> Bool[Array, "R B"]:
+            later = jax.lax.cummin(jnp.where(rows, number[:, None], TICKS), reverse=True)
+            return rows & (jnp.concatenate([later[1:], jnp.full_like(later[:1], TICKS)]) > number[:, None])
+
+        usable = is_usable(status)
+        if self.times_differ:
+            return last(usable & finite, self.interval)
+        failed = jax.ops.segment_max((status == Status.NON_FINITE).astype(jnp.int8), self.group, len(self.group))
+        usable &= last(status != Status.PADDING, self.group) & (failed[self.group] <= 0)
+        return last(usable & finite, self.interval)
+
+    def _spread(self, kind: str, size: Float[Array, "R B"]) -> dict[str, Array]:
+        """The largest size of each trajectory, −1 for none, and the cell of each row in one histogram (n, BINS).
+
+        Negative sizes fall in a cell beyond the last. The caller counts: a scatter takes longer than the filter.
+        """
+        by_drawn = size.reshape(len(size), len(self.heights), -1)
+        n = by_drawn.shape[-1]
+        cell = jnp.where(by_drawn >= 0, bins(by_drawn) + BINS * jnp.arange(n, dtype=jnp.int32), n * BINS)
+        return {f"largest {kind}": by_drawn.max(axis=(0, 1)), f"cells {kind}": cell}
+
+
+def _flat(arrays: list[Array]) -> Array:
+    """The numbers of arrays (n, …) as (numbers, n), in memory: XLA would draw them anew in the order of their use."""
+    return jax.lax.optimization_barrier(jnp.concatenate([jnp.moveaxis(x, 0, -1).reshape(-1, len(x)) for x in arrays]))
+
+
+class Part(NamedTuple):
+    """The trajectories of a chunk: the data of the seed's key, and their ids."""
+
+    key: UInt32[np.ndarray, " 2"]
+    ids: UInt32[np.ndarray, " n"]
+
+
+def chunk_sums(model: tuple[AbstractDraw, AbstractTracker, Rows], part: Part) -> dict[str, Array]:
+    """The sums and largest errors of the trajectories, and the cells of rows in histograms; pure, traceable, differentiable by the model."""
+    draw, tracker, rows = model
+    arrays = draw(keys_of(part.key, part.ids))
+    batch = rows.batch(draw.measured, arrays)
+    return rows.scored(tracker.accumulate(batch, _moments, every_row=True), rows.true(arrays))
+
+
+def _moments(output: Any, truth: Any) -> tuple[Array, ...]:
+    """Of one row: estimate and covariance of the position, or of azimuth and elevation, NIS, its dof and the status."""
+    mean, cov = output.mean, list(output.cov)
+    bearing = hasattr(mean, "azimuth")
+    estimate = (mean.azimuth, mean.elevation) if bearing else tuple(mean.position)
+    size = int((np.sqrt(8 * len(cov) + 1) - 1) / 2)
+    state = jax.tree_util.tree_map(lambda x: np.zeros(np.shape(x)[:-1]), mean)
+    fields = [name.partition(".")[0] for name in component_names(state)[:size]]
+    index = [k for k, field in enumerate(fields) if field in (("azimuth", "elevation") if bearing else ("position",))]
+    entry = {pair: k for k, pair in enumerate(triangle(size))}
+    upper = [
+        jnp.zeros_like(output.nis) if bearing and i != j else cov[entry[index[i], index[j]]]
+        for i, j in triangle(len(index))
+    ]
+    return *estimate, *upper, output.nis, output.nis_dof, output.status
+
+
+class ChunkProgram(NamedTuple):
+    """The model of a condition and tracker, and its compiled program."""
+
+    model: Any
+    program: Program
+
+    def __call__(self, part: Part) -> dict[str, np.ndarray]:
+        """The arrays of a chunk, as of `tracked.scored`."""
+        arrays = {name: np.asarray(x) for name, x in self.program(self.model, part).items()}
+        for name in [name for name in arrays if name.startswith("cells")]:
+            counts = np.bincount(arrays[name].ravel(), minlength=len(part.ids) * BINS)[: len(part.ids) * BINS]
+            arrays[name] = np.flatnonzero(counts)
+            arrays[name.replace("cells", "counts")] = counts[arrays[name]]
+        tops = {name: np.where(x < 0, np.nan, x) for name, x in arrays.items() if name.startswith("largest")}
+        return {name: x.astype(float) if name.startswith("sum") else x for name, x in (arrays | tops).items()}
+
+
+def part_of(seed: int, ids: np.ndarray) -> Part:
+    """The part of these trajectories."""
+    return Part(np.asarray(jax.random.key_data(jax.random.key(seed, impl="threefry2x32"))), ids.astype(np.uint32))
+
+
+def compiled(
+    folder: RecordingFolder,
+    batches: Callable[[RecordingFolder], list[TrackerBatch]],
+    every: float | None,
+    part: Part,
+) -> ChunkProgram:
+    """The program of a tracker for the world of a simulated folder; raises Unfit where it has none.
+
+    `batches`: of a folder, with the tracker's settings. `every`: s, an interval in which the last row alone is scored.
+    """
+    draw = folder.tables.draw if isinstance(folder.tables, SimulatedTables) else None
+    if draw is None or not draw.measured:
+        raise Unfit("the world has no draw")
+    probes = [_probe(draw, folder.name, number, batches) for number in range(3)]
+    tracker = probes[0].batch.tracker.for_positions()
+    if getattr(getattr(tracker, "filter", None), "has_particle_axis", True) and hasattr(tracker, "filter"):
+        raise Unfit("the filter draws random numbers")
+    if getattr(tracker, "latency", None) not in (None, 0.0):
+        raise Unfit("estimates are late")
+    rows = _rows(draw, probes, every)
+    model = as_dtype((draw, tracker, rows), jax.dtypes.canonicalize_dtype(float))
+    try:
+        shapes = jax.eval_shape(lambda numbers: draw(keys_of(*numbers)), part)
+    except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
+        raise Unfit("the world is drawn in NumPy alone") from error
+    del shapes
+    return ChunkProgram(model, _program(model, part))
+
+
+_programs: dict[bytes, Program] = {}
+
+
+def _program(model: Any, part: Part) -> Program:
+    """The program of a model of these shapes: conditions that differ in numbers alone share it."""
+    program = kept_program(chunk_sums, model, part, OPTIONS)
+    if program is not None:
+        return program
+    leaves, structure = jax.tree_util.tree_flatten((model, part))
+    kinds = [(np.shape(x), str(x.dtype)) if eqx.is_array(x) else x for x in leaves]
+    try:
+        key = pickle.dumps((jax.tree_util.tree_unflatten(structure, kinds), jax.config.jax_enable_x64))  # type: ignore[attr-defined]
+    except (pickle.PicklingError, TypeError, AttributeError):
+        return compiled_program(chunk_sums, model, part, OPTIONS)
+    if key not in _programs:
+        _programs[key] = compiled_program(chunk_sums, model, part, OPTIONS)
+    return _programs[key]
+
+
+class _Probe(NamedTuple):
+    """A drawn trajectory: its arrays, the tracker's batch, and its rows."""
+
+    arrays: Mapping[str, np.ndarray]
+    batch: TrackerBatch
+    trajectories: Trajectories
+
+
+def _probe(draw: AbstractDraw, name: str, number: int, batches: Callable[[RecordingFolder], list[TrackerBatch]]) -> Any:
+    """The probe of one trajectory; of the third one some readings are not there."""
+    arrays = draw(trajectory_keys(0, [number]))
+    arrays |= {mask: np.ones_like(arrays[mask]) for mask in draw.measured.values()}
+    if number == 2:
+        draws = np.random.default_rng(0)
+        for mask in draw.measured.values():
+            by_time = draws.random((*arrays[mask].shape[:2], *[1] * (arrays[mask].ndim - 2)))
+            arrays[mask] = (draws.random(arrays[mask].shape) < SEEN) & (by_time < SEEN)
+    found = batches(draw.world(dict(arrays), np.array([number])).folder(name))
+    if len(found) != 1:
+        raise Unfit("the world has trajectories of several trackers")
+    trajectories = Trajectories.of(found[0].trajectories)
+    if {tag for tag in trajectories.tags} != {str(number)}:
+        raise Unfit("a body has several tags")
+    return _Probe(arrays, found[0], trajectories)
+
+
+def _rows(draw: AbstractDraw, probes: list[_Probe], every: float | None) -> Rows:
+    """How the rows follow from the arrays, by two probes; raises Unfit."""
+    first, second = (probe.trajectories.columns for probe in probes[:2])
+    S, lengths = len(first), np.diff(first.starts)
+    if len(second) != S or len({*lengths, *np.diff(second.starts)}) != 1:
+        raise Unfit("trajectories have different numbers of rows")
+    numbers = [np.concatenate([p.arrays[name].ravel().astype(float) for name in draw.measured]) for p in probes[:2]]
+
+    def sequences(x: np.ndarray) -> np.ndarray:
+        return x.reshape(S, len(x) // S, *x.shape[1:])
+
+    def constant(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        if not np.array_equal(a, b):
+            raise Unfit("an input depends on the readings")
+        return sequences(a)
+
+    times, of_second = sequences(first.times), sequences(second.times)
+    if not ((times == times[0]).all() and (of_second == times[0]).all()):
+        raise Unfit("trajectories have different times")
+    truth = np.minimum(np.searchsorted(draw.times, times[0] - 1e-9), len(draw.times) - 1)
+    true = _positions(first)
+    if np.abs(draw.times[truth] - times[0]).max() > 1e-9 or not true[1].all():
+        raise Unfit("rows lie between the times of the truth")
+    places, there, reported = {}, {}, {}
+    for name, readings in first.readings.items():
+        other = second.readings[name]
+        places[name] = sequences(_places(readings.values, other.values, readings.seen, numbers))
+        there[name] = constant(readings.seen, other.seen)
+        nothing = np.zeros((len(readings.values), 0))
+        reported[name] = constant(*(nothing if r.reported is None else r.reported for r in (readings, other)))
+    inputs = {name: constant(x, second.inputs[name]) for name, x in first.inputs.items()}
+    # A fraction of the shortest step between rows; one number of steps for both, so that their order is kept.
+    span = times[0][-1] - times[0][0]
+    ticks = np.round((times[0] - times[0][0]) / (span or 1.0) * TICKS).astype(np.int32)
+    group = np.unique(times[0], return_inverse=True)[1].astype(np.int32)
+    interval = np.arange(len(group)) if every is None else np.floor(times[0] / every + 1e-6)
+    folder, heights = probes[0].trajectories.folders[0], probes[0].trajectories.heights
+    if probes[0].batch.planar and np.isnan(heights).any() and not probes[0].trajectories.stations[0]:
+        raise Unfit("the height of a planar estimate is unknown")
+    stations = tuple(folder.rig.stations[name] for name in probes[0].trajectories.stations if name)
+    regular = _check(places, there, inputs, probes[2], draw)
+    return Rows(
+        places, there, reported, inputs, ticks, (span or 1.0) / TICKS, group, interval.astype(np.int32), truth, heights,
+        float(true[0][0, -1]) if true[0].shape[1] == 3 else np.nan, stations, len(set(group.tolist())) == len(group), regular,
+    )  # fmt: skip
+
+
+def _check(places: Any, there: Any, inputs: Any, probe: _Probe, draw: AbstractDraw) -> bool:
+    """Whether rows without a reading are there; raises Unfit unless a probe with some follows as those with all."""
+    flat = [np.concatenate([probe.arrays[x].ravel() for x in names]) for names in zip(*draw.measured.items(), strict=True)]
+    seen = {name: flat[1][place] & there[name] for name, place in places.items()}
+    valid, columns = np.any(np.concatenate([*seen.values()], axis=2), axis=2), probe.trajectories.columns
+    valid |= (regular := len(columns.times) == valid.size)
+    if not np.array_equal(valid.sum(axis=1), np.diff(columns.starts)):
+        raise Unfit("a row is there for another reason than a reading")
+    alike = [np.array_equal(x[valid], columns.inputs[name]) for name, x in inputs.items()]
+    for name, place in places.items():
+        readings, values = columns.readings[name], np.where(seen[name], flat[0][place], 0.0)
+        alike += [np.array_equal(seen[name][valid], readings.seen), np.array_equal(values[valid], readings.values)]
+    if not all(alike):
+        raise Unfit("a row depends on other readings than its own")
+    return regular
+
+
+def _positions(columns: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The true positions or directions of rows, and where they are known."""
+    values, known = columns.truth["direction" if "direction" in columns.truth else "position"]
+    return values, known
+
+
+def _places(first: np.ndarray, second: np.ndarray, seen: np.ndarray, numbers: list[np.ndarray]) -> np.ndarray:
+    """The place of each reading among the drawn numbers, which it equals in both probes; zero where it is not seen."""
+    order = np.argsort(numbers[0], kind="stable")
+    at = np.minimum(np.searchsorted(numbers[0][order], first), len(order) - 1)
+    place = np.where(seen, order[at], 0)
+    if not ((numbers[0][place] == first) & (numbers[1][place] == second))[seen].all():
+        raise Unfit("a reading is none of the drawn numbers")
+    return place.astype(np.int32)
