@@ -17,6 +17,7 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import PLAIN, trackwright
+from trackwright.experiments.lab.demo import REAL
 from trackwright.trackers.core import user_file
 from trackwright.trackers.recordings.kinds import KINDS
 
@@ -70,6 +71,7 @@ def _run(page, folder, monkeypatch):
 
 
 def test_the_python_example_of_the_readme_runs_and_lowers_the_negative_log_likelihood(tmp_path, monkeypatch):
+    shutil.copytree(REAL, tmp_path / "out/demo/recordings")
     names = _run("README.md", tmp_path, monkeypatch)
     assert names["result"].value < names["result"].start_value
     assert len(names["table"]) == len(names["estimates"].to_polars())
