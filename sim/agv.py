@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 from trackwright.sim.corruptions import Corruption, correlated_noise, corrupted, gauss_markov, outliers
 from trackwright.sim.keys import Keys, namespace, stream, uniforms
 from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
+from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -40,7 +41,7 @@ class Route:
         """The length of one round, m."""
         return float(self._ends()[-1])
 
-    def at(self, arclength: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows 2"]:
+    def at(self, arclength: Float[AnyArray, "*rows"]) -> Float[AnyArray, "*rows 2"]:
         """Positions (..., 2), m, at these arc lengths, m, from the middle of the lower side."""
         xp, ends = namespace(arclength), self._ends()
         s = xp.fmod(xp.asarray(arclength), ends[-1])
@@ -122,7 +123,7 @@ class VehicleDraw(AbstractDraw):
     def times(self) -> Float[np.ndarray, " T"]:
         return np.arange(self.rows) / RATE_HZ
 
-    def __call__(self, keys: Keys) -> dict[str, Any]:
+    def arrays(self, keys: Keys) -> dict[str, Any]:
         times, speed = self.times, self.speed
         # ½ t² until t = `speed`, when 1 m/s² has led to `speed`; constant speed from there.
         covered = np.where(times < speed, 0.5 * times**2, speed * times - 0.5 * speed**2)

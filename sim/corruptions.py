@@ -9,7 +9,7 @@ noise. All work in NumPy and inside a traced program, where their levels may be 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import jax
@@ -23,6 +23,7 @@ from trackwright.trackers.core.model.inputs import AnyArray
 Times = Float[np.ndarray, " T"]
 Values = Float[AnyArray, "n T *channels"]
 Seen = Bool[AnyArray, "n T *channels"]
+Constant = Float[AnyArray, "n 1 *channels"]
 
 Corruption = Callable[[Keys, Times, Values, Seen], tuple[Values, Seen]]
 """(keys, times, values, seen) -> (values, seen), new arrays; the arguments are not modified. As a
@@ -97,7 +98,7 @@ def constant_bias(sigma: float) -> Corruption:
     return added(_constant_bias, sigma=sigma)
 
 
-def _constant_bias(keys: Keys, times: Times, values: Values, *, sigma: float) -> Values:
+def _constant_bias(keys: Keys, times: Times, values: Values, *, sigma: float) -> Constant:
     return sigma * in_dtype(normals(keys, (1, values.shape[2])), values)
 
 
@@ -132,7 +133,8 @@ def outliers(probability: float, size: float) -> Corruption:
 def _outliers(keys: Keys, times: Times, values: Values, *, probability: float, size: float) -> Values:
     hit = uniforms(stream(keys, "hit"), values.shape[1:]) < probability
     # A product: it takes a seventh of the time of `where`, which branches at random.
-    return hit * (size * normals(stream(keys, "error"), values.shape[1:]))
+    errors = size * normals(stream(keys, "error"), values.shape[1:])
+    return in_dtype(hit, errors) * errors
 
 
 def drop_outs(probability: float, mean_length_s: float = 0.0) -> Corruption:
@@ -140,13 +142,20 @@ def drop_outs(probability: float, mean_length_s: float = 0.0) -> Corruption:
 
     A two-state Markov process in continuous time, stationary from the first row. At 0 s rows are independent.
     """
-    lost = {"share": fraction("the share of lost rows", probability)}
-    return Partial(_drop_outs, **lost, **({"mean_length_s": mean_length_s} if mean_length_s else {}))
+    return Partial(_drop_outs, bursts("the share of lost rows", probability, mean_length_s))
 
 
-def _drop_outs(keys: Keys, times: Times, values: Values, seen: Seen, **bursts: float) -> tuple[Values, Seen]:
-    lost = in_bursts(keys, times, values.shape[2], **bursts)
+def _drop_outs(
+    lost_when: Mapping[str, float], keys: Keys, times: Times, values: Values, seen: Seen
+) -> tuple[Values, Seen]:
+    lost = in_bursts(keys, times, values.shape[2], **lost_when)
     return values, seen & ~lost.reshape(lost.shape + (1,) * (values.ndim - 3))
+
+
+def bursts(what: str, share: float, mean_length_s: float) -> dict[str, float]:
+    """The levels of `in_bursts`; raises ValueError for a share that is none."""
+    length = {} if isinstance(mean_length_s, float | int) and mean_length_s <= 0 else {"mean_length_s": mean_length_s}
+    return {"share": fraction(what, share), **length}
 
 
 def in_bursts(
@@ -220,14 +229,13 @@ def _delayed(keys: Keys, times: Times, values: Values, seen: Seen, *, seconds: f
 
 def mirrored_heights(plane: float, share: float, mean_length_s: float) -> Corruption:
     """Heights mirrored at the anchors' plane at height `plane`, m: in bursts as of `in_bursts`."""
-    share = fraction("the share of mirrored heights", share)
-    return Partial(_mirrored, plane=plane, share=share, mean_length_s=mean_length_s)
+    return Partial(_mirrored, bursts("the share of mirrored heights", share, mean_length_s), plane)
 
 
 def _mirrored(
-    keys: Keys, times: Times, values: Values, seen: Seen, *, plane: float, share: float, mean_length_s: float
+    mirrored_when: Mapping[str, float], plane: float, keys: Keys, times: Times, values: Values, seen: Seen
 ) -> tuple[Values, Seen]:
-    flipped = in_bursts(stream(keys, "mirror"), times, 1, share, mean_length_s) & (np.arange(3) == 2)
+    flipped = in_bursts(stream(keys, "mirror"), times, 1, **mirrored_when) & (np.arange(3) == 2)
     return namespace(values, flipped).where(flipped, 2 * plane - values, values), seen
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float32, Int, Key, Shaped, UInt32
+from jaxtyping import Float, Float32, Int, Key, Shaped, UInt32
 
 from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.keys import threefry
@@ -70,25 +70,25 @@ def in_dtype(numbers: AnyArray, of: AnyArray) -> Any:
     return numbers.astype(jax.dtypes.canonicalize_dtype(of.dtype) if isinstance(numbers, jax.Array) else of.dtype)
 
 
-def normals(keys: Keys, shape: tuple[int, ...]) -> Float32[AnyArray, "n *shape"]:
+def normals(keys: Keys, shape: tuple[int, ...]) -> Float[AnyArray, "n *shape"]:
     """Standard normal float32 numbers (n, *shape); row i depends on key i alone."""
     return _drawn(_normals, keys, math.prod(shape)).reshape(-1, *shape)
 
 
-def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float32[AnyArray, "n *shape"]:
+def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float[AnyArray, "n *shape"]:
     """Uniform float32 numbers in [0, 1), (n, *shape); row i depends on key i alone."""
     return _drawn(_uniforms, keys, math.prod(shape)).reshape(-1, *shape)
 
 
-def _drawn(draw: Callable[[Keys, int], jax.Array], keys: Keys, size: int) -> Float32[AnyArray, "n size"]:
-    """The numbers of each key, in NumPy unless the keys are traced."""
+def _drawn(draw: Callable[[Keys, int], jax.Array], keys: Keys, size: int) -> Float[AnyArray, "n size"]:
+    """The float32 numbers of each key, in NumPy; if the keys are traced in jax's default type."""
     if not isinstance(keys, jax.core.Tracer):
         return np.asarray(draw(keys, size))
     # In a loop, which keeps them in memory: elsewhere XLA joins all generators of a draw in one kernel, which takes ten
     # times as long.
     n, blocks = len(keys), 4
     by_block = keys[np.minimum(np.arange(-(-n // blocks) * blocks), n - 1)].reshape(blocks, -1)
-    return jax.lax.map(lambda block: draw(block, size), by_block).reshape(-1, size)[:n]
+    return jax.lax.map(lambda block: draw(block, size), by_block).reshape(-1, size)[:n].astype(float)
 
 
 def in_blocks(

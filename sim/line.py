@@ -29,7 +29,7 @@ FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType({"white": white_noise(0.
 """A mean error of 0.39 m, as in Table 3.1, whose ratios white noise alone does not reproduce."""
 
 Lengths = Float[np.ndarray, " k"]
-Durations = Float[AnyArray, "n k"]  # or of one for all
+Durations = Float[AnyArray, "_ k"]  # of each trajectory, or of one for all
 
 
 def constant_speed(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
@@ -115,14 +115,14 @@ class LineDraw(AbstractDraw):
             end = self._ends(trajectory_keys(0, [0]))[0, -1]
         return np.arange(int(np.floor((end + self.rest_s) * self.rate_hz)) + 1) / self.rate_hz
 
-    def _ends(self, keys: Keys) -> Float[np.ndarray, "n legs"]:
+    def _ends(self, keys: Keys) -> Float[AnyArray, "_ legs"]:
         """The times, s, at which the tags' first rest, and each travel and rest after it, ends."""
         travel, rest = SITUATIONS[self.situation](keys, np.asarray(Polyline(np.array(self.knots)).lengths), self.speed)
         xp = namespace(travel)
         legs = xp.stack([travel, rest], axis=-1).reshape(len(travel), -1)
         return self.rest_s + xp.concatenate([np.zeros((len(legs), 1)), xp.cumsum(legs, axis=1)], axis=1)
 
-    def __call__(self, keys: Keys) -> dict[str, Any]:
+    def arrays(self, keys: Keys) -> dict[str, Any]:
         times, knots, ends = self.times, np.array(self.knots), self._ends(keys)
         lengths = np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1))
         marks = np.concatenate([[0.0], np.repeat(np.cumsum(lengths), 2)])
@@ -133,9 +133,10 @@ class LineDraw(AbstractDraw):
             start, stop, offset = self.carried_off
             away = (times >= start) & (times < stop)
             positions = positions + np.where(away[:, None], np.asarray(offset, float), 0.0)
+        if len(ends) == 1:
+            arclength, positions = repeated(arclength, keys), repeated(positions, keys)
         fixes, seen = corrupted(self.errors, keys, times, positions, np.ones(positions.shape, bool))
-        drawn = {"arclength": arclength, "positions": positions, "fixes": fixes, "seen": seen}
-        return {name: repeated(x, keys) if len(x) == 1 else x for name, x in drawn.items()}
+        return {"arclength": arclength, "positions": positions, "fixes": fixes, "seen": seen}
 
     def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedLine:
         return SimulatedLine(self.times, **arrays, knots=np.array(self.knots), ids=ids, draw=self)

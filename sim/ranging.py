@@ -17,13 +17,14 @@ from jax.tree_util import Partial
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trackwright.sim.corruptions import (
+    Constant,
     Corruption,
     Seen,
     Times,
     Values,
     added,
+    bursts,
     corrupted,
-    fraction,
     in_bursts,
     white_density,
 )
@@ -92,7 +93,7 @@ def antenna_biases(sigma: float) -> Corruption:
     return added(_antenna_biases, sigma=sigma)
 
 
-def _antenna_biases(keys: Keys, times: Times, values: Values, *, sigma: float) -> Values:
+def _antenna_biases(keys: Keys, times: Times, values: Values, *, sigma: float) -> Constant:
     return (sigma * normals(keys, values.shape[2:3]))[:, None]
 
 
@@ -101,14 +102,14 @@ def obstruction(share: float, mean_length_s: float, bias: float, tail: float) ->
 
     Meanwhile its ranges are too long by `bias` m plus exponential noise of mean `tail` m.
     """
-    share = fraction("the share of the time without line of sight", share)
-    return added(_detour, share=share, mean_length_s=mean_length_s, bias=bias, tail=tail)
+    hidden = bursts("the share of the time without line of sight", share, mean_length_s)
+    return added(_detour, hidden_when=hidden, bias=bias, tail=tail)
 
 
 def _detour(
-    keys: Keys, times: Times, values: Values, *, share: float, mean_length_s: float, bias: float, tail: float
+    keys: Keys, times: Times, values: Values, *, hidden_when: Mapping[str, float], bias: float, tail: float
 ) -> Values:
-    hidden = in_bursts(stream(keys, "hidden"), times, values.shape[2], share, mean_length_s)
+    hidden = in_bursts(stream(keys, "hidden"), times, values.shape[2], **hidden_when)
     draws = in_dtype(uniforms(stream(keys, "detour"), values.shape[1:]), values)
     xp = namespace(hidden, draws)
     return xp.where(hidden, bias - tail * xp.log1p(-draws), 0.0)
@@ -193,7 +194,7 @@ class RangeDraw(AbstractDraw):
     def times(self) -> Times:
         return np.arange(self.n_points) / self.rate_hz
 
-    def __call__(self, keys: Keys) -> dict[str, Any]:
+    def arrays(self, keys: Keys) -> dict[str, Any]:
         positions = self.path(stream(keys, "path"), self.times)
         distances = distances_to(np.stack(list(self.rig.anchors.values())), positions)
         ranges, seen = two_way_ranges(stream(keys, "two-way ranging"), distances, self.protocol), np.ones(distances.shape, bool)
@@ -303,7 +304,7 @@ class DifferenceDraw(AbstractDraw):
     def times(self) -> Times:
         return np.arange(self.n_points) / self.rate_hz
 
-    def __call__(self, keys: Keys) -> dict[str, Any]:
+    def arrays(self, keys: Keys) -> dict[str, Any]:
         positions = self.path(stream(keys, "path"), self.times)
         arrivals, keys = distances_to(np.stack(list(self.rig.anchors.values())), positions), stream(keys, "corruptions")
         arrivals, heard = corrupted(self.corruptions, keys, self.times, arrivals, np.ones(arrivals.shape, bool))

@@ -139,7 +139,7 @@ class PhaseDraw(AbstractDraw):
     def times(self) -> Float[np.ndarray, " T"]:
         return np.arange(self.n_points) / self.rate_hz
 
-    def __call__(self, keys: Keys) -> dict[str, Any]:
+    def arrays(self, keys: Keys) -> dict[str, Any]:
         times, stations = self.times, list(self.rig.stations.values())
         positions = self.path(stream(keys, "path"), times)
         common = uniforms(stream(keys, "common phase"), (self.n_points, len(stations)))
@@ -282,7 +282,7 @@ class FusionDraw(AbstractDraw):
     def times(self) -> Float[np.ndarray, " T"]:
         return self.ranges.times
 
-    def __call__(self, keys: Keys) -> dict[str, Any]:
+    def arrays(self, keys: Keys) -> dict[str, Any]:
         ranged = self.ranges(keys)
         ranged["heard"] = ranged.pop("seen")
         stations, xp = self.ranges.rig.stations.values(), namespace(ranged["positions"])

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import numpy as np
 import polars as pl
 from jaxtyping import Float, Int, Shaped
@@ -86,6 +88,13 @@ class ArrayRows(TagRows):
         return pl.DataFrame(columns).sort("t_s", maintain_order=True)
 
 
+@contextmanager
+def as_numpy() -> Iterator[None]:
+    """Broadcasting and promotion of traced arrays by the rules of NumPy."""
+    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+        yield
+
+
 class AbstractDraw(eqx.Module):
     """What draws the trajectories of a world: called with keys (n,), it returns its arrays (n, …) by name.
 
@@ -104,8 +113,13 @@ class AbstractDraw(eqx.Module):
         """The times of the array `positions` (n, T, 3), the truth, s."""
 
     @abstractmethod
-    def __call__(self, keys: Keys) -> dict[str, Any]:
+    def arrays(self, keys: Keys) -> dict[str, Any]:
         """The arrays of the trajectories with these keys (n,), readings that are not there included."""
+
+    def __call__(self, keys: Keys) -> dict[str, Any]:
+        """The same, with the rules of NumPy for shapes and types, whatever jax is set to."""
+        with as_numpy():
+            return self.arrays(keys)
 
     @abstractmethod
     def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> Any:

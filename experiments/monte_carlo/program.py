@@ -19,13 +19,13 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from trackwright.experiments.monte_carlo.tracked import BINS, bins
 from trackwright.sim.keys import keys_of, trajectory_keys
-from trackwright.sim.tables import AbstractDraw, SimulatedTables
+from trackwright.sim.tables import AbstractDraw, SimulatedTables, as_numpy
 from trackwright.trackers.core.data.consistency import chi_square_quantile, eliminated
 from trackwright.trackers.core.data.estimates import Status, is_usable
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.algebra import triangle
 from trackwright.trackers.core.model.inputs import AnyArray
-from trackwright.trackers.core.model.rig import Station
+from trackwright.trackers.core.model.rig import Station, angles_in_array
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype
@@ -107,12 +107,17 @@ class Rows(eqx.Module):
 
     def true(self, arrays: Mapping[str, Array]) -> Float[Array, "R B axes"]:
         """The truth of all rows: positions (x, y, z), m, or azimuth and elevation from each station, rad."""
-        positions = arrays["positions"][:, self.truth]
-        if positions.shape[-1] == 2:
-            height = jnp.full_like(positions[..., :1], self.truth_height)
-            positions = jnp.concatenate([positions, height], axis=-1)
-        each = [s.angles(positions) for s in self.stations] or [positions] * len(self.heights)
-        return jnp.moveaxis(jnp.concatenate(each), 0, 1)
+        # One contiguous array for each axis: with the axes last nothing is a vector operation.
+        axes = [jax.lax.optimization_barrier(x)[self.truth] for x in jnp.moveaxis(arrays["positions"], 0, -1).swapaxes(0, 1)]
+        axes += [jnp.full_like(axes[0], self.truth_height)] * (3 - len(axes))
+        if not self.stations:
+            return jnp.stack([jnp.tile(x, len(self.heights)) for x in axes], axis=-1)
+        each = []
+        for station in self.stations:
+            away = [x - x_of_station for x, x_of_station in zip(axes, station.position, strict=True)]
+            columns = station.world_from_array().astype(away[0].dtype).T
+            each.append(angles_in_array(jnp.stack([sum(a * m for a, m in zip(away, c, strict=True)) for c in columns])))
+        return jnp.concatenate(each, axis=1)
 
     def scored(self, output: tuple[Array, ...], truth: Float[Array, "R B axes"]) -> dict[str, Array]:
         """The sums of the terms of each of the n trajectories, their largest errors, and the rows' cells."""
@@ -204,8 +209,9 @@ def chunk_sums(model: tuple[AbstractDraw, AbstractTracker, Rows], part: Part) ->
     """The sums and largest errors of the trajectories, and the cells of rows in histograms; pure, traceable, differentiable by the model."""
     draw, tracker, rows = model
     arrays = draw(keys_of(part.key, part.ids))
-    batch = rows.batch(draw.measured, arrays)
-    return rows.scored(tracker.accumulate(batch, _moments, every_row=True), rows.true(arrays))
+    with as_numpy():
+        batch = rows.batch(draw.measured, arrays)
+        return rows.scored(tracker.accumulate(batch, _moments, every_row=True), rows.true(arrays))
 
 
 def _moments(output: Any, truth: Any) -> tuple[Array, ...]:
@@ -262,18 +268,16 @@ def compiled(
         raise Unfit("the world has no draw")
     probes = [_probe(draw, folder.name, number, batches) for number in range(3)]
     tracker = probes[0].batch.tracker.for_positions()
-    if getattr(getattr(tracker, "filter", None), "has_particle_axis", True) and hasattr(tracker, "filter"):
+    if getattr(getattr(tracker, "filter", None), "has_particle_axis", False):
         raise Unfit("the filter draws random numbers")
     if getattr(tracker, "latency", None) not in (None, 0.0):
         raise Unfit("estimates are late")
     rows = _rows(draw, probes, every)
     model = as_dtype((draw, tracker, rows), jax.dtypes.canonicalize_dtype(float))
     try:
-        shapes = jax.eval_shape(lambda numbers: draw(keys_of(*numbers)), part)
+        return ChunkProgram(model, _program(model, part))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
         raise Unfit("the world is drawn in NumPy alone") from error
-    del shapes
-    return ChunkProgram(model, _program(model, part))
 
 
 _programs: dict[bytes, Program] = {}

@@ -25,10 +25,11 @@ def test_numbers_drawn_in_blocks_are_those_drawn_together():
     keys, scale = trajectory_keys(4, np.arange(7)), np.arange(7.0)[:, None]
 
     def draw(keys, scale):
-        return scale * normals(keys, (5,)), uniforms(keys, (2, 3))
+        return {"normals": scale * normals(keys, (5,)), "uniforms": uniforms(keys, (2, 3))}
 
-    for together, apart in zip(draw(keys, scale), in_blocks(draw, keys, scale, size=3), strict=True):
-        np.testing.assert_array_equal(apart, together)
+    together, apart = draw(keys, scale), in_blocks(draw, keys, scale, size=3)
+    for name in together:
+        np.testing.assert_array_equal(apart[name], together[name])
 
 
 @pytest.mark.parametrize("double", [False, True])

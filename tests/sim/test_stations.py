@@ -38,7 +38,7 @@ def test_no_bit_of_a_trajectory_depends_on_chunk_batch_or_order(path, monkeypatc
     whole = simulate_phases(RIG, path, 150, seed=4, **settings)
     ids = [149, 3, 77, 64, 63]
     some = simulate_phases(RIG, path, ids, seed=4, **settings)
-    monkeypatch.setattr(sim.stations, "_CHUNK", 7)
+    monkeypatch.setattr(sim.stations.PhaseDraw, "size", 7)
     other = simulate_phases(RIG, path, 150, seed=4, **settings)
     for name in ("positions", "phases", "seen"):
         assert np.array_equal(getattr(some, name), getattr(whole, name)[ids])

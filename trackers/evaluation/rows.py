@@ -11,6 +11,7 @@ from jaxtyping import Float
 from trackwright.trackers.core.data.consistency import eliminated, upper_entries
 from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.recordings.columns import TruePaths, TruthStatus, float_column, require_columns
 from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, track_keys
@@ -91,13 +92,13 @@ def _starts(track: np.ndarray) -> np.ndarray:
     return np.append(np.flatnonzero(np.diff(track, prepend=track[:1] - 1)), len(track))
 
 
-def wrapped(angles: np.ndarray) -> np.ndarray:
+def wrapped(angles: AnyArray) -> AnyArray:
     """Angles, rad, in (−π, π]."""
-    turned: np.ndarray = np.pi - (np.pi - angles) % (2 * np.pi)
+    turned: AnyArray = np.pi - (np.pi - angles) % (2 * np.pi)
     return turned
 
 
-def position_sizes(errors: np.ndarray) -> dict[str, np.ndarray]:
+def position_sizes(errors: AnyArray) -> dict[str, AnyArray]:
     """The sizes (…) of errors (…, 3), m, by kind, the main one first; NaN of rows without one."""
     xp, height = errors.__array_namespace__(), errors[..., 2]
     flat = xp.hypot(errors[..., 0], errors[..., 1])
@@ -105,7 +106,7 @@ def position_sizes(errors: np.ndarray) -> dict[str, np.ndarray]:
     return {"m": flat, "3d_m": xp.where(height == 0, flat, xp.sqrt(flat * flat + height**2))}
 
 
-def bearing_sizes(estimates: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def bearing_sizes(estimates: AnyArray, truth: AnyArray) -> tuple[AnyArray, dict[str, AnyArray]]:
     """The errors (…, 2) of azimuth and elevation, rad, and their sizes (…) by kind, the main one first.
 
     In the plane of an array each azimuth is ± 90°, so that the errors of both angles are unknown.
@@ -119,9 +120,9 @@ def bearing_sizes(estimates: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray,
     return errors, {"direction_rad": 2 * xp.arcsin(xp.sqrt(haversine))} | angles
 
 
-def in_plane(azimuth: np.ndarray) -> np.ndarray:
+def in_plane(azimuth: AnyArray) -> AnyArray:
     """Which directions with these azimuths (n,), rad, lie in the plane of a flat array, where each azimuth is ± 90°."""
-    lying: np.ndarray = abs(abs(azimuth) - np.pi / 2) < 1e-9
+    lying: AnyArray = abs(abs(azimuth) - np.pi / 2) < 1e-9
     return lying
 
 

@@ -14,9 +14,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import gammainc, gammaincinv
 
-Errors = Float[np.ndarray, "N d"]
+from trackwright.trackers.core.model.inputs import AnyArray
+
+Errors = Float[AnyArray, "*rows d"]
 Covariances = Float[np.ndarray, "N d d"]
-Entries = Mapping[tuple[int, int], Float[np.ndarray, " N"]]
+Entries = Mapping[tuple[int, int], Float[AnyArray, "*rows"]]
 
 NORMAL = 1.96
 """Half the width of the central 95 % interval of a normal distribution, in standard deviations."""
@@ -57,7 +59,7 @@ def nees_of_leading(errors: Errors, upper: Entries) -> list[Float[np.ndarray, " 
     return values
 
 
-def eliminated(errors: Errors, upper: Entries) -> list[tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]]:
+def eliminated(errors: Errors, upper: Entries) -> list[tuple[Float[AnyArray, "*rows"], Float[AnyArray, "*rows"]]]:
     """Of each axis the error less what those before predict, and its variance, NaN where P is not positive definite.
 
     The density of the error is the product of the normal ones of these. `upper`: the `upper_entries` of P.
