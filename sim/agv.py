@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float, Int
 from trackwright.sim.corruptions import Corruption, correlated_noise, corrupted, gauss_markov, outliers
 from trackwright.sim.keys import Keys, namespace, stream, uniforms
 from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
-from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -41,7 +40,7 @@ class Route:
         """The length of one round, m."""
         return float(self._ends()[-1])
 
-    def at(self, arclength: Float[AnyArray, "*rows"]) -> Float[AnyArray, "*rows 2"]:
+    def at(self, arclength: Float[Any, "*rows"]) -> Float[Any, "*rows 2"]:
         """Positions (..., 2), m, at these arc lengths, m, from the middle of the lower side."""
         xp, ends = namespace(arclength), self._ends()
         s = xp.fmod(xp.asarray(arclength), ends[-1])
@@ -56,7 +55,9 @@ class Route:
         begin = corner + self.radius * np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
         side = np.array([self.width, self.depth, self.width, self.depth])[quarter] - 2 * self.radius
         side[0] /= 2
-        of_parts = np.stack([np.concatenate([[0.0], ends[:-1]]), side, heading, turns, *begin.T, *direction.T, *corner.T])
+        of_parts = np.stack(
+            [np.concatenate([[0.0], ends[:-1]]), side, heading, turns, *begin.T, *direction.T, *corner.T]
+        )
         # A product with zeros and a one: in a program a look-up takes several times as long as the filter.
         at = (part == parts.reshape(-1, *[1] * s.ndim)).astype(s.dtype)
         start, side, heading, turning, *points = xp.tensordot(of_parts.astype(s.dtype), at, 1)

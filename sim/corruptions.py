@@ -18,12 +18,11 @@ from jax.tree_util import Partial
 from jaxtyping import Bool, Float
 
 from trackwright.sim.keys import Keys, in_dtype, namespace, normals, stream, uniforms
-from trackwright.trackers.core.model.inputs import AnyArray
 
 Times = Float[np.ndarray, " T"]
-Values = Float[AnyArray, "n T *channels"]
-Seen = Bool[AnyArray, "n T *channels"]
-Constant = Float[AnyArray, "n 1 *channels"]
+Values = Float[Any, "n T *channels"]
+Seen = Bool[Any, "n T *channels"]
+Constant = Float[Any, "n 1 *channels"]
 
 Corruption = Callable[[Keys, Times, Values, Seen], tuple[Values, Seen]]
 """(keys, times, values, seen) -> (values, seen), new arrays; the arguments are not modified. As a
@@ -44,9 +43,7 @@ def added(error: Callable[..., Values], **levels: Any) -> Corruption:
     return Partial(_added, Partial(error, **levels))
 
 
-def _added(
-    error: Callable[..., Values], keys: Keys, times: Times, values: Values, seen: Seen
-) -> tuple[Values, Seen]:
+def _added(error: Callable[..., Values], keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
     return values + in_dtype(error(keys, times, values), values), seen
 
 
@@ -82,7 +79,7 @@ def _gauss_markov(keys: Keys, times: Times, values: Values, *, sigma: float, tau
     return xp.moveaxis(_recursion(step, sigma * draws[0], rows), -1, 0)
 
 
-def _recursion(step: Callable[[Any, tuple[Any, ...]], Any], start: AnyArray, rows: tuple[AnyArray, ...]) -> AnyArray:
+def _recursion(step: Callable[[Any, tuple[Any, ...]], Any], start: Any, rows: tuple[Any, ...]) -> Any:
     """The states (T, ...): `start`, then step(state, row) for each of the T − 1 rows, the same part of each array."""
     xp = namespace(start, *rows)
     if xp is np:
@@ -160,7 +157,7 @@ def bursts(what: str, share: float, mean_length_s: float) -> dict[str, float]:
 
 def in_bursts(
     keys: Keys, times: Times, channels: int, share: float, mean_length_s: float | None = None
-) -> Bool[AnyArray, "n T {channels}"]:
+) -> Bool[Any, "n T {channels}"]:
     """Bursts (n, T, channels): true for a `share` of the time, for `mean_length_s` at a stretch on average.
 
     A two-state Markov process in continuous time for each channel, stationary from the first row; independent in each
@@ -173,7 +170,7 @@ def in_bursts(
     xp, forgetting = namespace(draws, share, mean_length_s), 1 / (mean_length_s * (1 - share))
     kept, by_time = xp.exp(-np.diff(times) * forgetting), xp.moveaxis(draws, 1, 0)
 
-    def step(lasts: AnyArray, row: tuple[Any, Any]) -> AnyArray:
+    def step(lasts: Any, row: tuple[Any, Any]) -> Any:
         return row[1] < share * (1 - row[0]) + row[0] * lasts
 
     return xp.moveaxis(_recursion(step, by_time[0] < share, (kept, by_time[1:])), 0, 1)
@@ -204,12 +201,12 @@ def _lose_station(
     return values, seen & ~lost.reshape(lost.shape + (1,) * (values.ndim - 3))
 
 
-def correlated_noise(covariance: Float[AnyArray, "i j"]) -> Corruption:
+def correlated_noise(covariance: Float[Any, "i j"]) -> Corruption:
     """White Gaussian noise with correlated axes: `covariance` (3, 3), m², symmetric and positive definite."""
     return added(_correlated, factor=namespace(covariance).linalg.cholesky(covariance))
 
 
-def _correlated(keys: Keys, times: Times, values: Values, *, factor: Float[AnyArray, "i j"]) -> Values:
+def _correlated(keys: Keys, times: Times, values: Values, *, factor: Float[Any, "i j"]) -> Values:
     return in_dtype(normals(keys, values.shape[1:]), values) @ factor.T
 
 

@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Float32, Int, Key, Shaped, UInt32
 
-from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.keys import threefry
 
 Keys = Key[jax.Array, " n"]
@@ -44,7 +43,7 @@ def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
     return keys_of(jax.random.key_data(jax.random.key(seed, impl=_GENERATOR)), numbers.astype(np.uint32))
 
 
-def keys_of(seed_key: UInt32[AnyArray, " 2"], ids: UInt32[AnyArray, " n"]) -> Keys:
+def keys_of(seed_key: UInt32[Any, " 2"], ids: UInt32[Any, " n"]) -> Keys:
     """The keys of trajectory ids (n,) from the data of the seed's key; traceable."""
     return _fold_each(jax.random.wrap_key_data(jnp.asarray(seed_key), impl=_GENERATOR), jnp.asarray(ids))
 
@@ -59,28 +58,28 @@ def namespace(*arrays: Any) -> Any:
     return jnp if any(isinstance(x, jax.Array) for x in arrays) else np
 
 
-def repeated(one: AnyArray, keys: Keys) -> Any:
+def repeated(one: Any, keys: Keys) -> Any:
     """The array (1, …) once for each of the keys, (n, …)."""
     xp = jnp if isinstance(keys, jax.core.Tracer) else namespace(one)
     return xp.broadcast_to(one, (len(keys), *one.shape[1:]))
 
 
-def in_dtype(numbers: AnyArray, of: AnyArray) -> Any:
+def in_dtype(numbers: Any, of: Any) -> Any:
     """The numbers in the dtype of another array; traced ones in what jax makes of it."""
     return numbers.astype(jax.dtypes.canonicalize_dtype(of.dtype) if isinstance(numbers, jax.Array) else of.dtype)
 
 
-def normals(keys: Keys, shape: tuple[int, ...]) -> Float[AnyArray, "n *shape"]:
+def normals(keys: Keys, shape: tuple[int, ...]) -> Float[Any, "n *shape"]:
     """Standard normal float32 numbers (n, *shape); row i depends on key i alone."""
     return _drawn(_normals, keys, math.prod(shape)).reshape(-1, *shape)
 
 
-def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float[AnyArray, "n *shape"]:
+def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float[Any, "n *shape"]:
     """Uniform float32 numbers in [0, 1), (n, *shape); row i depends on key i alone."""
     return _drawn(_uniforms, keys, math.prod(shape)).reshape(-1, *shape)
 
 
-def _drawn(draw: Callable[[Keys, int], jax.Array], keys: Keys, size: int) -> Float[AnyArray, "n size"]:
+def _drawn(draw: Callable[[Keys, int], jax.Array], keys: Keys, size: int) -> Float[Any, "n size"]:
     """The float32 numbers of each key, in NumPy; if the keys are traced in jax's default type."""
     if not isinstance(keys, jax.core.Tracer):
         return np.asarray(draw(keys, size))

@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float, Int
 from trackwright.sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
 from trackwright.sim.keys import Keys, namespace, repeated, stream, trajectory_keys, uniforms
 from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
-from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -29,7 +28,7 @@ FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType({"white": white_noise(0.
 """A mean error of 0.39 m, as in Table 3.1, whose ratios white noise alone does not reproduce."""
 
 Lengths = Float[np.ndarray, " k"]
-Durations = Float[AnyArray, "_ k"]  # of each trajectory, or of one for all
+Durations = Float[Any, "_ k"]  # of each trajectory, or of one for all
 
 
 def constant_speed(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
@@ -60,7 +59,7 @@ SITUATIONS = MappingProxyType({"constant": constant_speed, "halts": halts, "spee
 after it, both (n, k), or (1, k) for all, s."""
 
 
-def piecewise_linear(x: AnyArray, knots: AnyArray, values: Float[np.ndarray, " k"]) -> AnyArray:
+def piecewise_linear(x: Any, knots: Any, values: Float[np.ndarray, " k"]) -> Any:
     """The values at x, linear between rising knots (k, …) and constant beyond them; as ramps, without a search."""
     ramps = (
         rise * namespace(x, width).clip((x - knot) / namespace(width).where(width > 0, width, 1.0), 0.0, 1.0)
@@ -115,7 +114,7 @@ class LineDraw(AbstractDraw):
             end = self._ends(trajectory_keys(0, [0]))[0, -1]
         return np.arange(int(np.floor((end + self.rest_s) * self.rate_hz)) + 1) / self.rate_hz
 
-    def _ends(self, keys: Keys) -> Float[AnyArray, "_ legs"]:
+    def _ends(self, keys: Keys) -> Float[Any, "_ legs"]:
         """The times, s, at which the tags' first rest, and each travel and rest after it, ends."""
         travel, rest = SITUATIONS[self.situation](keys, np.asarray(Polyline(np.array(self.knots)).lengths), self.speed)
         xp = namespace(travel)

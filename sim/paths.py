@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import cache
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from trackwright.sim.keys import Keys, namespace, normals, repeated, stream, uniforms
-from trackwright.trackers.core.model.inputs import AnyArray
 
 Times = Float[np.ndarray, " T"]
-Positions = Float[AnyArray, "n T 3"]
+Positions = Float[Any, "n T 3"]
 Volume = Float[np.ndarray, "2 3"]
 
 PathFunction = Callable[[Keys, Times], Positions]

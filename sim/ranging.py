@@ -28,16 +28,25 @@ from trackwright.sim.corruptions import (
     in_bursts,
     white_density,
 )
-from trackwright.sim.keys import Keys, in_blocks, in_dtype, namespace, normals, stream, trajectory_ids, trajectory_keys, uniforms
+from trackwright.sim.keys import (
+    Keys,
+    in_blocks,
+    in_dtype,
+    namespace,
+    normals,
+    stream,
+    trajectory_ids,
+    trajectory_keys,
+    uniforms,
+)
 from trackwright.sim.paths import PathFunction, hand_motion
 from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
-from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT
 
-Ranges = Float[AnyArray, "n T anchors"]
+Ranges = Float[Any, "n T anchors"]
 
 CHAMBER = np.array([[0.0, 0.0, 0.3], [5.0, 0.0, 2.5], [5.0, 5.0, 0.3], [0.0, 5.0, 2.5]])
 """Four anchors 5 m apart, m, as in the paper's chamber (section 4.1); heights, not printed, alternate low and high."""
@@ -197,7 +206,10 @@ class RangeDraw(AbstractDraw):
     def arrays(self, keys: Keys) -> dict[str, Any]:
         positions = self.path(stream(keys, "path"), self.times)
         distances = distances_to(np.stack(list(self.rig.anchors.values())), positions)
-        ranges, seen = two_way_ranges(stream(keys, "two-way ranging"), distances, self.protocol), np.ones(distances.shape, bool)
+        ranges, seen = (
+            two_way_ranges(stream(keys, "two-way ranging"), distances, self.protocol),
+            np.ones(distances.shape, bool),
+        )
         ranges, seen = corrupted(self.corruptions, stream(keys, "corruptions"), self.times, ranges, seen)
         # A tag reports no range that is not positive.
         return {"positions": positions, "ranges": ranges, "seen": seen & (ranges > 0)}
@@ -212,7 +224,7 @@ def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
     return Rig("chamber", anchors={f"A{k + 1}": np.asarray(a, float) for k, a in enumerate(anchors)})
 
 
-def distances_to(anchors: Float[np.ndarray, "A 3"], positions: Float[AnyArray, "n T 3"]) -> Ranges:
+def distances_to(anchors: Float[np.ndarray, "A 3"], positions: Float[Any, "n T 3"]) -> Ranges:
     """The distances (n, T, A) of positions, m, from anchors."""
     x, y, z = (positions[..., None, axis] - anchors[:, axis] for axis in range(3))
     distances: Ranges = namespace(x).sqrt(x * x + y * y + z * z)
@@ -429,7 +441,9 @@ def simulate_bodies(
         shared, heard = corrupted(of_anchors.items(), stream(keys, "anchors"), times, nothing, nothing == 0.0)
         distances = distances_to(anchors, positions.reshape(len(axle), -1, 3)).reshape(len(axle), len(times), -1)
         errors = stream(keys, "ranges")
-        ranges, seen = corrupted(of_ranges.items(), errors, times, distances + np.tile(shared, tags), np.tile(heard, tags))
+        ranges, seen = corrupted(
+            of_ranges.items(), errors, times, distances + np.tile(shared, tags), np.tile(heard, tags)
+        )
         ranges, seen = (a.reshape(*positions.shape[:3], -1) for a in (np.where(seen, ranges, 0.0), seen))
         odometry = _driven(keys, times, axle, headings, wheels)
         return {"positions": positions, "headings": headings, "ranges": ranges, "seen": seen, "odometry": odometry}

@@ -22,22 +22,21 @@ from trackwright.sim.paths import PATHS, WORK_VOLUME, PathFunction
 from trackwright.sim.ranging import RangeDraw, SimulatedRanges
 from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
 from trackwright.trackers.aoa.phases import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
-from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 _BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 
-def wrapped(angle: Float[AnyArray, "*shape"]) -> Float[AnyArray, "*shape"]:
+def wrapped(angle: Float[Any, "*shape"]) -> Float[Any, "*shape"]:
     """The angles wrapped into (-pi, pi], rad."""
     turn = 2 * np.pi
     return angle - turn * namespace(angle).ceil(angle / turn - 0.5)
 
 
 def spherical_phases(
-    stations: Sequence[Station], positions: Float[AnyArray, "*rows 3"]
-) -> Float[AnyArray, "*rows stations antennas"]:
+    stations: Sequence[Station], positions: Float[Any, "*rows 3"]
+) -> Float[Any, "*rows stations antennas"]:
     """Phases (..., stations, antennas), rad in (-pi, pi], of spherical waves from beacons at positions (..., 3), m.
 
     The phase of antenna i is -2 pi / lambda times its distance from the beacon. Raises ValueError for stations without
@@ -51,8 +50,8 @@ def spherical_phases(
 
 
 def plane_phases(
-    stations: Sequence[Station], positions: Float[AnyArray, "*rows 3"]
-) -> Float[AnyArray, "*rows stations antennas"]:
+    stations: Sequence[Station], positions: Float[Any, "*rows 3"]
+) -> Float[Any, "*rows stations antennas"]:
     """Phases (..., stations, antennas) of plane waves, equation (9): 2 pi / lambda * p_i . u.
 
     An approximation for distant beacons; for worlds in which a tracker's model is exact. Shapes, units and errors as in

@@ -93,7 +93,7 @@ def of_commit(revision: str, only: str) -> Path:
 def write(folder: Path, only: str) -> None:
     """Write the numbers of this tree, a file for each subject that the folder lacks."""
     from tests.catalogue import CASES
-    from trackwright.trackers.recordings.atomic import atomic_write
+    from trackwright.trackers.recordings.files import atomic_write
 
     folder.mkdir(parents=True, exist_ok=True)
     # Long ones first. A new process for every few subjects: compiled programs take many memory maps.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from trackwright.trackers.recordings.atomic import atomic_write, json_text
+from trackwright.trackers.recordings.files import atomic_write, json_text
 
 LINE = 1000
 """Most characters of a line that holds a whole list or row."""

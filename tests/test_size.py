@@ -7,20 +7,20 @@ from pathlib import Path
 
 import pytest
 
-from trackwright.experiments.cli.commands import COMMANDS
+from trackwright.experiments.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-    "trackers": 23_425,
+    "trackers": 23_385,
     "sim": 2_150,
-    "tuning": 4_880,
-    "experiments": 9_910,
+    "tuning": 4_800,
+    "experiments": 9_900,
     "trackwright": 30,
-    "tests": 26_265,
+    "tests": 26_372,
 }
 """The most lines of Python of each folder at the top."""
 
-PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 40_385, 270, 37_350, 13
+PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 40_260, 262, 37_350, 13
 
 
 def _files(*suffixes: str) -> list[Path]:

@@ -27,7 +27,7 @@ from trackwright.trackers.core.model.tunable import freeze, tunables
 from trackwright.trackers.core.run import scan
 from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.recordings.atomic import write_whole
+from trackwright.trackers.recordings.files import write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 

@@ -16,8 +16,7 @@ from trackwright.trackers.core.user_file import from_file, split_name
 # Lists and shells have the names of trackers, for which neither jax nor polars need be imported.
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.folder import RecordingFolder
-    from trackwright.trackers.recordings.named_tracker import NamedTracker
-    from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+    from trackwright.trackers.recordings.named_tracker import NamedTracker, TrackerSpec
 
 
 class Entry(NamedTuple):
@@ -262,7 +261,7 @@ def spec_of(name: str) -> TrackerSpec:
     if name in TRACKERS:
         return TRACKERS[name]
     if split_name(name)[0]:
-        from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+        from trackwright.trackers.recordings.named_tracker import TrackerSpec
 
         return from_file(name, "tracker", "TrackerSpec", lambda x: isinstance(x, TrackerSpec))
     if "," in name:

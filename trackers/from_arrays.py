@@ -23,8 +23,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig, Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.parts.fixes import FIXES
-from trackwright.trackers.parts.range_rows import range_inputs
-from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.parts.ranges import RANGES, range_inputs
 from trackwright.trackers.recordings.checks import rules
 
 COARSE_M = 1e-3

@@ -92,8 +92,8 @@ from trackwright.trackers.linear import series as series
 from trackwright.trackers.mhk.tracker import mhk_tracker as mhk_tracker
 from trackwright.trackers.parts.fixes import FixSensor as FixSensor
 from trackwright.trackers.parts.fixes import fix_trajectories as fix_trajectories
-from trackwright.trackers.parts.range_rows import range_trajectories as range_trajectories
 from trackwright.trackers.parts.ranges import RangeSensor as RangeSensor
+from trackwright.trackers.parts.ranges import range_trajectories as range_trajectories
 from trackwright.trackers.programs.program_cache import cache_programs as cache_programs
 from trackwright.trackers.recordings.calibration import AnchorCalibration as AnchorCalibration
 from trackwright.trackers.recordings.calibration import Calibration as Calibration
@@ -101,8 +101,8 @@ from trackwright.trackers.recordings.calibration import StationCalibration as St
 from trackwright.trackers.recordings.calibration import TagCalibration as TagCalibration
 from trackwright.trackers.recordings.calibration import read_calibration as read_calibration
 from trackwright.trackers.recordings.calibration import write_calibration as write_calibration
-from trackwright.trackers.recordings.checks import CheckResult as CheckResult
 from trackwright.trackers.recordings.checks.all_checks import check as check
+from trackwright.trackers.recordings.checks.rules import CheckResult as CheckResult
 from trackwright.trackers.recordings.folder import RecordingFolder as RecordingFolder
 from trackwright.trackers.recordings.folder import read_recording as read
 from trackwright.trackers.recordings.folder import read_recordings as read_all
@@ -112,7 +112,7 @@ from trackwright.trackers.recordings.kinds import Kind as Kind
 from trackwright.trackers.recordings.kinds import Sensors as Sensors
 from trackwright.trackers.recordings.kinds import add_kind as add_kind
 from trackwright.trackers.recordings.named_tracker import NamedTracker as NamedTracker
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec as TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec as TrackerSpec
 from trackwright.trackers.recordings.tracks import Tracks as Tracks
 from trackwright.trackers.recordings.trajectories import Trajectory as Trajectory
 from trackwright.trackers.recordings.trajectories import kind_trajectories as kind_trajectories

@@ -13,8 +13,7 @@ import numpy as np
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import atomic_write, config_hash
-from trackwright.trackers.recordings.input_file import read_arrays
+from trackwright.trackers.recordings.files import atomic_write, config_hash, read_arrays
 from trackwright.tuning.optimisation import AbstractOptimiser, FitState
 from trackwright.tuning.problem import Pieces
 

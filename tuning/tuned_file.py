@@ -13,8 +13,7 @@ import tomli_w
 from pydantic import AfterValidator, BaseModel, Field
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.input_file import read_model
+from trackwright.trackers.recordings.files import atomic_write, read_model
 
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.named_tracker import NamedTracker

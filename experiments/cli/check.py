@@ -26,8 +26,8 @@ def check(*recordings: Recording, tracker: Name | None = None) -> int:
         recordings: recording folders (rig.toml and tables), or folders of these.
         tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
     """
-    from trackwright.trackers.recordings.checks import format_results
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
+    from trackwright.trackers.recordings.checks.all_checks import format_results
     from trackwright.trackers.recordings.folder import read_recording, recordings_under
 
     run_file_of(tracker)
@@ -109,7 +109,7 @@ def survey(
         unplaced = replace(folder.rig, anchors={})
         notices(require_sound(replace(folder, rig=unplaced, tables={"ranges": folder.tables["ranges"]}), force, True))
     from trackwright.experiments.pages.calibration import write_survey_page
-    from trackwright.trackers.recordings.atomic import write_whole
+    from trackwright.trackers.recordings.files import write_whole
     from trackwright.trackers.recordings.rig_file import rig_text
     from trackwright.tuning.survey import survey as survey_walks
 

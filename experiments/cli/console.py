@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from trackwright.experiments.cli.options import Numbers, Readings
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.recordings.atomic import json_text, write_whole
 from trackwright.trackers.recordings.checks.all_checks import require_sound
+from trackwright.trackers.recordings.files import json_text, write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recordings
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from trackwright.experiments.text import tables as text
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation, condition_of, evaluate, metric_names, violation
-from trackwright.trackers.recordings.atomic import json_text, write_whole
+from trackwright.trackers.recordings.files import json_text, write_whole
 from trackwright.trackers.recordings.folder import read_recordings
 from trackwright.trackers.recordings.tracks_table import EVALUATION, RECORDINGS, RESULTS, read_archive, read_tracks
 from trackwright.trackers.recordings.tracks_table import require_sources as sources_of

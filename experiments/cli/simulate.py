@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from cyclopts import Parameter
 
-from trackwright.experiments.cli.commands import new_app
+from trackwright.experiments.cli.main import new_app
 from trackwright.experiments.cli.options import Folder
 from trackwright.sim import worlds
 from trackwright.sim.worlds import ParameterError

@@ -36,7 +36,7 @@ def study(
     from trackwright.experiments.pages.report import write_page
     from trackwright.experiments.text.terminal import stages
     from trackwright.experiments.text.wording import figures_drawn
-    from trackwright.trackers.recordings.atomic import write_whole
+    from trackwright.trackers.recordings.files import write_whole
 
     if not what:
         print(pages.study_names([load_study(name) for name in available_studies()]))

@@ -23,7 +23,7 @@ from trackwright.trackers.core.errors import counted
 from trackwright.trackers.evaluation.evaluate import truths_of, with_truth
 from trackwright.trackers.evaluation.rows import refuse_without_overlap
 from trackwright.trackers.programs.program_cache import give_back
-from trackwright.trackers.recordings.atomic import Content, write_whole
+from trackwright.trackers.recordings.files import Content, write_whole
 from trackwright.trackers.recordings.tracks_table import EVALUATION, RESULTS, SOURCES, TRACKS, sources_text
 
 MUCH = 0.3  # the regret of NIS, nats, from which on innovations contradict the noise levels

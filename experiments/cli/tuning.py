@@ -20,8 +20,7 @@ from trackwright.experiments.text.tables import sections_text
 from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.evaluation.evaluate import with_truth
-from trackwright.trackers.recordings.atomic import atomic_write
-from trackwright.trackers.recordings.input_file import identity
+from trackwright.trackers.recordings.files import atomic_write, identity
 from trackwright.tuning import parameters as numbers
 from trackwright.tuning.data import FitData, fit_data
 from trackwright.tuning.fit_warnings import cautions, without_intervals

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from trackwright.experiments.jobs.executors import AT_ONCE
 from trackwright.trackers.programs.program_cache import give_back
-from trackwright.trackers.recordings.atomic import Content, write_whole
+from trackwright.trackers.recordings.files import Content, write_whole
 
 WAKE_S = 0.25
 """Seconds after which a wait for parts looks for Ctrl-C: Polars lets system calls go on after it (SA_RESTART)."""

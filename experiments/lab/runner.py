@@ -100,7 +100,7 @@ def text(value: Any) -> str:
 def write(file: Path, rows: Sequence[Mapping[str, str]]) -> Path:
     """Write a table; a row may lack columns."""
     # polars takes a quarter of a second to import, which the help of `demo` need not wait for.
-    from trackwright.trackers.recordings.atomic import atomic_write
+    from trackwright.trackers.recordings.files import atomic_write
 
     columns = list(dict.fromkeys([*KEY, *(name for row in rows for name in row if name != "error"), "error"]))
 

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
-from trackwright.experiments.monte_carlo.program import ChunkProgram, Unfit, compiled, part_of
+from trackwright.experiments.monte_carlo.program import ChunkProgram, UnfitError, compiled, part_of
 from trackwright.experiments.monte_carlo.tracked import TrackedRuns, scored, tracked_runs
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
@@ -28,8 +28,7 @@ from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.evaluation.bounds import posterior_bound
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch
-from trackwright.trackers.recordings.tracks import rounded
+from trackwright.trackers.recordings.tracks import TrackerBatch, rounded
 from trackwright.trackers.recordings.trajectories import Trajectories
 
 BOUNDED = 256
@@ -43,7 +42,7 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     results = []
     for name, config in study.trackers.items():
         program, part = _program_of(study, condition, name), part_of(study.seed, ids)
-        run = partial(_scored, prepared, name, config) if program is None else partial(program, part)
+        run = partial(_scored, prepared, name, config) if program is None else partial(program.run, part)
         arrays = run()
         if first:
             if "us_per_row" in study.metrics:
@@ -102,7 +101,7 @@ def _made(study: Study, condition: Condition, name: str) -> ChunkProgram | None:
     part, batches = part_of(study.seed, ids), partial(_batches, study, condition, name)
     try:
         return compiled(_folder(study, condition, ids[:1]), batches, config.every, part)
-    except Unfit:
+    except UnfitError:
         return None
 
 

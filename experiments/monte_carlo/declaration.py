@@ -19,7 +19,7 @@ from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.evaluation.metrics import METRICS
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 
 WORLD = "world."
 """Prefix of grid names that are parameters of the worlds; all other grid names are patterns of tunables."""

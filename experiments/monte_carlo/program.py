@@ -24,7 +24,6 @@ from trackwright.trackers.core.data.consistency import chi_square_quantile, elim
 from trackwright.trackers.core.data.estimates import Status, is_usable
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.algebra import triangle
-from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.rig import Station, angles_in_array
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.state import component_names
@@ -34,7 +33,7 @@ from trackwright.trackers.evaluation.metrics import LEVELS
 from trackwright.trackers.evaluation.rows import ANGLES, AXES, bearing_sizes, position_sizes
 from trackwright.trackers.programs.traced_programs import Program, compiled_program, kept_program
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.tracks import TrackerBatch
 from trackwright.trackers.recordings.trajectories import Trajectories
 
 SEEN = 0.7
@@ -45,7 +44,7 @@ TICKS = 2**30
 """Steps into which the time of a trajectory is divided: float32 has no more than 2²⁴."""
 
 
-class Unfit(Exception):
+class UnfitError(Exception):
     """A tracker's rows that do not follow from a world's arrays number by number."""
 
 
@@ -53,21 +52,21 @@ class Rows(eqx.Module):
     """How the rows of a tracker follow from the arrays of n drawn trajectories, of each S sequences of R rows.
 
     There are several sequences where a tracker takes each station by itself. `places` (S, R, m): of each reading among
-    the drawn numbers, where `there`; `reported` and `inputs`: constant. `ticks` (R,): the times of the rows, in steps of
-    `tick` s, `group`, equal for rows of one time, and `interval`, in which only the last row is scored; `truth`: the
-    number of the true position. `heights` (S,) m: known ones, NaN for none.
+    the drawn numbers, where `there`; `reported` and `inputs`: constant. `ticks` (R,): the times of rows, in steps of
+    `tick` s; `group`: equal for rows of one time; `interval`, in which only the last row is scored; `truth`: the number
+    of the true position. `heights` (S,) m: known ones, NaN for none.
     """
 
     places: dict[str, Int[np.ndarray, "S R m"]]
     there: dict[str, Bool[np.ndarray, "S R m"]]
-    reported: dict[str, Float[AnyArray, "S R k"]]
-    inputs: dict[str, Float[AnyArray, "S R *shape"]]
+    reported: dict[str, Float[Any, "S R k"]]
+    inputs: dict[str, Float[Any, "S R *shape"]]
     ticks: Int[np.ndarray, " R"]
     tick: float
     group: Int[np.ndarray, " R"]
     interval: Int[np.ndarray, " R"]
     truth: Int[np.ndarray, " R"]
-    heights: Float[AnyArray, " S"]
+    heights: Float[Any, " S"]
     truth_height: float
     stations: tuple[Station, ...] = eqx.field(static=True)
     times_differ: bool = eqx.field(static=True)
@@ -80,11 +79,11 @@ class Rows(eqx.Module):
         """
         values, seen = (_flat([arrays[name] for name in names]) for names in zip(*measured.items(), strict=True))
 
-        def constant(x: AnyArray) -> Array:
+        def constant(x: Any) -> Array:
             """(S, R, …) as (R, …, S n)."""
             return jnp.repeat(jnp.moveaxis(x, 0, -1), values.shape[-1], axis=-1)
 
-        def gathered(x: Array, place: AnyArray) -> Array:
+        def gathered(x: Array, place: Any) -> Array:
             # One sequence after the other: a transpose of them all takes several times as long as the filter.
             return jnp.concatenate([x[of_sequence] for of_sequence in place], axis=-1)
 
@@ -108,7 +107,9 @@ class Rows(eqx.Module):
     def true(self, arrays: Mapping[str, Array]) -> Float[Array, "R B axes"]:
         """The truth of all rows: positions (x, y, z), m, or azimuth and elevation from each station, rad."""
         # One contiguous array for each axis: with the axes last nothing is a vector operation.
-        axes = [jax.lax.optimization_barrier(x)[self.truth] for x in jnp.moveaxis(arrays["positions"], 0, -1).swapaxes(0, 1)]
+        axes = [
+            jax.lax.optimization_barrier(x)[self.truth] for x in jnp.moveaxis(arrays["positions"], 0, -1).swapaxes(0, 1)
+        ]
         axes += [jnp.full_like(axes[0], self.truth_height)] * (3 - len(axes))
         if not self.stations:
             return jnp.stack([jnp.tile(x, len(self.heights)) for x in axes], axis=-1)
@@ -127,12 +128,12 @@ class Rows(eqx.Module):
         P = dict(zip(triangle(axes), moments[axes:], strict=True))
         there, known = status != Status.PADDING, self._known(status, jnp.isfinite(E[..., :2]).all(axis=-1))
         if self.stations:
-            names, (errors, sizes) = ANGLES, bearing_sizes(E, truth)
+            (errors, sizes), names = bearing_sizes(E, truth), [*ANGLES]
         else:
             if axes < 3:
                 height = jnp.repeat(self.heights, E.shape[1] // len(self.heights))
                 E = jnp.concatenate([E, jnp.broadcast_to(height[:, None], (*E.shape[:2], 1))], axis=-1)
-            names, errors = AXES, E - truth
+            errors, names = E - truth, [*AXES]
             sizes = position_sizes(errors)
 
         def total(x: Array) -> Array:
@@ -206,7 +207,7 @@ class Part(NamedTuple):
 
 
 def chunk_sums(model: tuple[AbstractDraw, AbstractTracker, Rows], part: Part) -> dict[str, Array]:
-    """The sums and largest errors of the trajectories, and the cells of rows in histograms; pure, traceable, differentiable by the model."""
+    """The sums and largest errors of trajectories, and their rows' cells; differentiable by the model's numbers."""
     draw, tracker, rows = model
     arrays = draw(keys_of(part.key, part.ids))
     with as_numpy():
@@ -237,7 +238,7 @@ class ChunkProgram(NamedTuple):
     model: Any
     program: Program
 
-    def __call__(self, part: Part) -> dict[str, np.ndarray]:
+    def run(self, part: Part) -> dict[str, np.ndarray]:
         """The arrays of a chunk, as of `tracked.scored`."""
         arrays = {name: np.asarray(x) for name, x in self.program(self.model, part).items()}
         for name in [name for name in arrays if name.startswith("cells")]:
@@ -259,25 +260,25 @@ def compiled(
     every: float | None,
     part: Part,
 ) -> ChunkProgram:
-    """The program of a tracker for the world of a simulated folder; raises Unfit where it has none.
+    """The program of a tracker for the world of a simulated folder; raises UnfitError where it has none.
 
     `batches`: of a folder, with the tracker's settings. `every`: s, an interval in which the last row alone is scored.
     """
     draw = folder.tables.draw if isinstance(folder.tables, SimulatedTables) else None
     if draw is None or not draw.measured:
-        raise Unfit("the world has no draw")
+        raise UnfitError("the world has no draw")
     probes = [_probe(draw, folder.name, number, batches) for number in range(3)]
     tracker = probes[0].batch.tracker.for_positions()
     if getattr(getattr(tracker, "filter", None), "has_particle_axis", False):
-        raise Unfit("the filter draws random numbers")
+        raise UnfitError("the filter draws random numbers")
     if getattr(tracker, "latency", None) not in (None, 0.0):
-        raise Unfit("estimates are late")
+        raise UnfitError("estimates are late")
     rows = _rows(draw, probes, every)
     model = as_dtype((draw, tracker, rows), jax.dtypes.canonicalize_dtype(float))
     try:
         return ChunkProgram(model, _program(model, part))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
-        raise Unfit("the world is drawn in NumPy alone") from error
+        raise UnfitError("the world is drawn in NumPy alone") from error
 
 
 _programs: dict[bytes, Program] = {}
@@ -318,19 +319,19 @@ def _probe(draw: AbstractDraw, name: str, number: int, batches: Callable[[Record
             arrays[mask] = (draws.random(arrays[mask].shape) < SEEN) & (by_time < SEEN)
     found = batches(draw.world(dict(arrays), np.array([number])).folder(name))
     if len(found) != 1:
-        raise Unfit("the world has trajectories of several trackers")
+        raise UnfitError("the world has trajectories of several trackers")
     trajectories = Trajectories.of(found[0].trajectories)
-    if {tag for tag in trajectories.tags} != {str(number)}:
-        raise Unfit("a body has several tags")
+    if set(trajectories.tags) != {str(number)}:
+        raise UnfitError("a body has several tags")
     return _Probe(arrays, found[0], trajectories)
 
 
 def _rows(draw: AbstractDraw, probes: list[_Probe], every: float | None) -> Rows:
-    """How the rows follow from the arrays, by two probes; raises Unfit."""
+    """How the rows follow from the arrays, by two probes; raises UnfitError."""
     first, second = (probe.trajectories.columns for probe in probes[:2])
     S, lengths = len(first), np.diff(first.starts)
     if len(second) != S or len({*lengths, *np.diff(second.starts)}) != 1:
-        raise Unfit("trajectories have different numbers of rows")
+        raise UnfitError("trajectories have different numbers of rows")
     numbers = [np.concatenate([p.arrays[name].ravel().astype(float) for name in draw.measured]) for p in probes[:2]]
 
     def sequences(x: np.ndarray) -> np.ndarray:
@@ -338,16 +339,16 @@ def _rows(draw: AbstractDraw, probes: list[_Probe], every: float | None) -> Rows
 
     def constant(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         if not np.array_equal(a, b):
-            raise Unfit("an input depends on the readings")
+            raise UnfitError("an input depends on the readings")
         return sequences(a)
 
     times, of_second = sequences(first.times), sequences(second.times)
     if not ((times == times[0]).all() and (of_second == times[0]).all()):
-        raise Unfit("trajectories have different times")
+        raise UnfitError("trajectories have different times")
     truth = np.minimum(np.searchsorted(draw.times, times[0] - 1e-9), len(draw.times) - 1)
     true = _positions(first)
     if np.abs(draw.times[truth] - times[0]).max() > 1e-9 or not true[1].all():
-        raise Unfit("rows lie between the times of the truth")
+        raise UnfitError("rows lie between the times of the truth")
     places, there, reported = {}, {}, {}
     for name, readings in first.readings.items():
         other = second.readings[name]
@@ -363,29 +364,45 @@ def _rows(draw: AbstractDraw, probes: list[_Probe], every: float | None) -> Rows
     interval = np.arange(len(group)) if every is None else np.floor(times[0] / every + 1e-6)
     folder, heights = probes[0].trajectories.folders[0], probes[0].trajectories.heights
     if probes[0].batch.planar and np.isnan(heights).any() and not probes[0].trajectories.stations[0]:
-        raise Unfit("the height of a planar estimate is unknown")
+        raise UnfitError("the height of a planar estimate is unknown")
     stations = tuple(folder.rig.stations[name] for name in probes[0].trajectories.stations if name)
     regular = _check(places, there, inputs, probes[2], draw)
+    truth_height, differ = float(true[0][0, -1]), len(set(group.tolist())) == len(group)
+    number, tick = interval.astype(np.int32), (span or 1.0) / TICKS
     return Rows(
-        places, there, reported, inputs, ticks, (span or 1.0) / TICKS, group, interval.astype(np.int32), truth, heights,
-        float(true[0][0, -1]) if true[0].shape[1] == 3 else np.nan, stations, len(set(group.tolist())) == len(group), regular,
-    )  # fmt: skip
+        places,
+        there,
+        reported,
+        inputs,
+        ticks,
+        tick,
+        group,
+        number,
+        truth,
+        heights,
+        truth_height,
+        stations,
+        differ,
+        regular,
+    )
 
 
 def _check(places: Any, there: Any, inputs: Any, probe: _Probe, draw: AbstractDraw) -> bool:
-    """Whether rows without a reading are there; raises Unfit unless a probe with some follows as those with all."""
-    flat = [np.concatenate([probe.arrays[x].ravel() for x in names]) for names in zip(*draw.measured.items(), strict=True)]
+    """Whether rows without a reading are there; raises UnfitError unless a probe with some follows like the others."""
+    flat = [
+        np.concatenate([probe.arrays[x].ravel() for x in names]) for names in zip(*draw.measured.items(), strict=True)
+    ]
     seen = {name: flat[1][place] & there[name] for name, place in places.items()}
     valid, columns = np.any(np.concatenate([*seen.values()], axis=2), axis=2), probe.trajectories.columns
     valid |= (regular := len(columns.times) == valid.size)
     if not np.array_equal(valid.sum(axis=1), np.diff(columns.starts)):
-        raise Unfit("a row is there for another reason than a reading")
+        raise UnfitError("a row is there for another reason than a reading")
     alike = [np.array_equal(x[valid], columns.inputs[name]) for name, x in inputs.items()]
     for name, place in places.items():
         readings, values = columns.readings[name], np.where(seen[name], flat[0][place], 0.0)
         alike += [np.array_equal(seen[name][valid], readings.seen), np.array_equal(values[valid], readings.values)]
     if not all(alike):
-        raise Unfit("a row depends on other readings than its own")
+        raise UnfitError("a row depends on other readings than its own")
     return regular
 
 
@@ -401,5 +418,5 @@ def _places(first: np.ndarray, second: np.ndarray, seen: np.ndarray, numbers: li
     at = np.minimum(np.searchsorted(numbers[0][order], first), len(order) - 1)
     place = np.where(seen, order[at], 0)
     if not ((numbers[0][place] == first) & (numbers[1][place] == second))[seen].all():
-        raise Unfit("a reading is none of the drawn numbers")
+        raise UnfitError("a reading is none of the drawn numbers")
     return place.astype(np.int32)

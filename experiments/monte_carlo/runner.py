@@ -26,8 +26,7 @@ from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.programs.program_cache import keep
-from trackwright.trackers.recordings.atomic import config_hash, json_text, write_whole
-from trackwright.trackers.recordings.input_file import file_bytes, read_arrays
+from trackwright.trackers.recordings.files import config_hash, file_bytes, json_text, read_arrays, write_whole
 
 IDENTITY, CHUNKS = "study.json", "chunks"
 FORMAT = 4  # of the files of chunks; a folder with another format holds another study

@@ -16,7 +16,7 @@ from trackwright.experiments.monte_carlo.declaration import DEFAULT_METRICS, Stu
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput, listed, near
 from trackwright.trackers.core.user_file import from_file
-from trackwright.trackers.recordings.input_file import read_model
+from trackwright.trackers.recordings.files import read_model
 
 PAPERS = "trackwright.experiments.lab.papers"  # in whose folders studies are looked for by name
 

@@ -11,7 +11,6 @@ import polars as pl
 from trackwright.trackers.core.data.consistency import nees_of_leading, upper_entries
 from trackwright.trackers.core.data.estimates import Estimates, Status, is_usable
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.evaluation.metrics import terms_of
 from trackwright.trackers.evaluation.rows import ANGLES, AXES, bearing_sizes, position_sizes
 from trackwright.trackers.recordings.columns import TruthStatus
@@ -98,7 +97,7 @@ def _histograms(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return filled, cells[filled]
 
 
-def bins(values: AnyArray) -> AnyArray:
+def bins(values: Any) -> Any:
     """The bin number of each value."""
     xp = values.__array_namespace__()
     with np.errstate(divide="ignore"):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -24,17 +24,15 @@ from trackwright.experiments.pages.chart import (
 )
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, drawn_of
 from trackwright.experiments.text.wording import SHOWN, length_unit
-from trackwright.trackers.core.data.consistency import chi_square_probability, chi_square_quantile
+from trackwright.trackers.core.data.consistency import chi_square_probability, chi_square_quantile, nis_band
 from trackwright.trackers.core.data.seconds import time_label
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.comparison import main_size
-from trackwright.trackers.evaluation.rows import covariances
+from trackwright.trackers.evaluation.rows import covariances, main_size
 from trackwright.trackers.recordings.columns import TagRows, float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Measured
 from trackwright.trackers.recordings.tracks_table import is_bearing
-from trackwright.tuning.diagnostics import nis_band
 
 Runs = ScoredRecording | pl.DataFrame | Mapping[str, ScoredRecording | pl.DataFrame]
 """Scored estimates of a recording or of several, or those of several runs by name."""

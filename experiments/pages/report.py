@@ -13,7 +13,7 @@ from typing import Any
 from markupsafe import Markup
 
 from trackwright.experiments.text.tables import Section
-from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.files import atomic_write
 
 SOURCES = Path(__file__).parent / "templates"  # of styles and scripts, too, which are no templates
 

@@ -11,20 +11,18 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
+from trackwright.trackers.core.data.consistency import student_t_dof_of
 from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.data.seconds import zero_of
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.comparison import main_size
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
-from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, scored_rows, wrapped
+from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, main_size, scored_rows, wrapped
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, first_time
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch
-from trackwright.trackers.recordings.tracks import Tracks
+from trackwright.trackers.recordings.tracks import TrackerBatch, Tracks
 from trackwright.trackers.recordings.tracks_table import is_bearing
-from trackwright.tuning.diagnostics import student_t_dof_of
 
 AnyEstimates = Tracks | Estimates
 AnyRecording = RecordingFolder | Recording
@@ -145,7 +143,7 @@ class ScoredTracks:
             rows = self.rows.filter(pl.col("recording") == folder.name)
             try:
                 tracker = next(own, None)
-                nu = math.nan if tracker is None else student_t_dof_of(tracker)
+                nu = math.nan if tracker is None else student_t_dof_of(tracker.nis_sensors)
             except ValueError:
                 nu = math.nan
             made.append(ScoredRecording(folder, rows, None if nu is None else float(np.asarray(nu))))

@@ -23,7 +23,7 @@ from trackwright.experiments.text.expectations import (
 )
 from trackwright.experiments.text.tables import Section, aligned, sections_text
 from trackwright.experiments.text.wording import Unit, heading, units_of, yes_no
-from trackwright.trackers.recordings.atomic import json_text
+from trackwright.trackers.recordings.files import json_text
 
 REPORT = "report.html"
 

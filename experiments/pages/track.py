@@ -17,12 +17,12 @@ from trackwright.experiments.pages.report import page, write_page
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks
 from trackwright.experiments.text.tables import Section, cells, title_of
 from trackwright.experiments.text.wording import length_unit, shown_metric
+from trackwright.trackers.core.data.consistency import nis_quantile
 from trackwright.trackers.core.data.seconds import time_label
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.metrics import METRICS
 from trackwright.trackers.recordings.columns import float_column
-from trackwright.tuning.diagnostics import nis_quantile
 
 PAGE = "report.html"
 """File in the output folder of `trackwright track`."""

@@ -18,8 +18,7 @@ from trackwright.experiments.text.wording import MISSING, number, yes_no
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import counted, listed
 from trackwright.trackers.evaluation.comparison import Difference, paired_means
-from trackwright.trackers.evaluation.evaluate import Evaluation, with_truth
-from trackwright.trackers.evaluation.statements import covariance_statements
+from trackwright.trackers.evaluation.evaluate import Evaluation, covariance_statements, with_truth
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker

@@ -18,7 +18,7 @@ from rich.table import Table
 from trackwright.experiments.text.wording import SCALES, SHOWN, Unit, fixed, length_unit, shown_metric
 from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics
 from trackwright.trackers.evaluation.metrics import METRICS, Metric
-from trackwright.trackers.recordings.atomic import atomic_write, json_text
+from trackwright.trackers.recordings.files import atomic_write, json_text
 
 UNLIMITED = 100_000
 """Characters a line where a table is not to be wrapped."""

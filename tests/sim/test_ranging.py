@@ -18,7 +18,7 @@ from trackwright.sim.ranging import (
     simulate_ranges,
     two_way_ranges,
 )
-from trackwright.trackers.parts.range_rows import range_trajectories
+from trackwright.trackers.parts.ranges import range_trajectories
 from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT
 
 TAGS, ROWS = 40, 100

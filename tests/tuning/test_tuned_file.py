@@ -11,7 +11,7 @@ from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import bearing_tracker
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.tunable import tunables, with_values
-from trackwright.trackers.recordings.input_file import identity
+from trackwright.trackers.recordings.files import identity
 from trackwright.tuning.parameters import flatten, physical, select_parameters, with_parameters
 from trackwright.tuning.tuned_file import read_tuned, tuned_content, write_tuned
 

@@ -20,11 +20,9 @@ from trackwright.trackers.core.model.rig import Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.parts.bearing_map import floor_grid
-from trackwright.trackers.recordings.checks.readings import readings as readings_of
-from trackwright.trackers.recordings.checks.readings import repeated_share
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
     Trajectories,
     Trajectory,
@@ -48,7 +46,7 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
 
     Where the folder has a calibration, the input `calibration` of the row's station, and the variance that it adds.
     """
-    interval = AVERAGE_S if repeated_share(readings_of(folder, "bearings")) > REPEATED else 0.0
+    interval = AVERAGE_S if folder.streams("bearings").repeated_share > REPEATED else 0.0
     rows, stations = folder.rows("bearings", interval), folder.rig.stations
     values, seen = rows.values(["azimuth_rad", "elevation_rad"])
     # Zeros where no standard deviations are reported, so that trajectories with and without them share a batch.

@@ -15,9 +15,9 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.evaluation.metrics import metrics, sums
-from trackwright.trackers.evaluation.rows import correlation_times
+from trackwright.trackers.evaluation.rows import correlation_times, main_size
 from trackwright.trackers.recordings.columns import float_column
-from trackwright.trackers.recordings.tracks_table import is_bearing, track_keys
+from trackwright.trackers.recordings.tracks_table import track_keys
 
 MOST_PIECES, LEAST_PIECES, MANY_TRACKS = 30, 5, 30
 """Pieces of time at most, pieces of an interval at least, and tracks from which each is a piece."""
@@ -48,11 +48,6 @@ class Difference(NamedTuple):
     def value(self) -> float:
         """The second value less the first."""
         return self.second - self.first
-
-
-def main_size(rows: pl.DataFrame) -> str:
-    """The column with the horizontal error, m, or of bearings with the angle to the true direction, rad."""
-    return "size_direction_rad" if is_bearing(rows) else "size_m"
 
 
 def paired_differences(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -11,7 +12,6 @@ from jaxtyping import Float
 from trackwright.trackers.core.data.consistency import eliminated, upper_entries
 from trackwright.trackers.core.data.seconds import span
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.recordings.columns import TruePaths, TruthStatus, float_column, require_columns
 from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, track_keys
@@ -92,13 +92,18 @@ def _starts(track: np.ndarray) -> np.ndarray:
     return np.append(np.flatnonzero(np.diff(track, prepend=track[:1] - 1)), len(track))
 
 
-def wrapped(angles: AnyArray) -> AnyArray:
+def wrapped(angles: Any) -> Any:
     """Angles, rad, in (−π, π]."""
-    turned: AnyArray = np.pi - (np.pi - angles) % (2 * np.pi)
+    turned: Any = np.pi - (np.pi - angles) % (2 * np.pi)
     return turned
 
 
-def position_sizes(errors: AnyArray) -> dict[str, AnyArray]:
+def main_size(rows: pl.DataFrame) -> str:
+    """The column with the horizontal error, m, or of bearings with the angle to the true direction, rad."""
+    return "size_direction_rad" if is_bearing(rows) else "size_m"
+
+
+def position_sizes(errors: Any) -> dict[str, Any]:
     """The sizes (…) of errors (…, 3), m, by kind, the main one first; NaN of rows without one."""
     xp, height = errors.__array_namespace__(), errors[..., 2]
     flat = xp.hypot(errors[..., 0], errors[..., 1])
@@ -106,7 +111,7 @@ def position_sizes(errors: AnyArray) -> dict[str, AnyArray]:
     return {"m": flat, "3d_m": xp.where(height == 0, flat, xp.sqrt(flat * flat + height**2))}
 
 
-def bearing_sizes(estimates: AnyArray, truth: AnyArray) -> tuple[AnyArray, dict[str, AnyArray]]:
+def bearing_sizes(estimates: Any, truth: Any) -> tuple[Any, dict[str, Any]]:
     """The errors (…, 2) of azimuth and elevation, rad, and their sizes (…) by kind, the main one first.
 
     In the plane of an array each azimuth is ± 90°, so that the errors of both angles are unknown.
@@ -120,9 +125,9 @@ def bearing_sizes(estimates: AnyArray, truth: AnyArray) -> tuple[AnyArray, dict[
     return errors, {"direction_rad": 2 * xp.arcsin(xp.sqrt(haversine))} | angles
 
 
-def in_plane(azimuth: AnyArray) -> AnyArray:
+def in_plane(azimuth: Any) -> Any:
     """Which directions with these azimuths (n,), rad, lie in the plane of a flat array, where each azimuth is ± 90°."""
-    lying: AnyArray = abs(abs(azimuth) - np.pi / 2) < 1e-9
+    lying: Any = abs(abs(azimuth) - np.pi / 2) < 1e-9
     return lying
 
 

@@ -21,9 +21,14 @@ from trackwright.trackers.core.user_file import fault_of, from_file, split_name
 from trackwright.trackers.exchange.mapping import ORIGIN, Source, TableMapping
 from trackwright.trackers.exchange.text_tables import Reading, columns_of, parsed, read_rows
 from trackwright.trackers.exchange.trajectories import Similarity, read_tum
-from trackwright.trackers.recordings.atomic import beside
-from trackwright.trackers.recordings.checks.mistakes import about_vertical
-from trackwright.trackers.recordings.checks.readings import Compared, compared, known_median, robust_fit
+from trackwright.trackers.recordings.checks.readings import (
+    Compared,
+    about_vertical,
+    compared,
+    known_median,
+    robust_fit,
+)
+from trackwright.trackers.recordings.files import beside
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from trackwright.trackers.recordings.kinds import KINDS, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
@@ -89,7 +94,7 @@ def found_placement(recording: RecordingFolder) -> tuple[list[float], str]:
 
 def _errors(view: Compared, centre: np.ndarray, x: np.ndarray) -> np.ndarray:
     """The errors of the readings with the truth turned by x[0], rad, about `centre`, which goes to x[1:4]."""
-    return view._replace(positions=x[1:4] + (view.positions - centre) @ about_vertical(x[0]).T).errors()
+    return view.turned(float(x[0]), centre, x[1:4]).errors()
 
 
 def _searched(view: Compared, centre: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, counted, listed, near
 from trackwright.trackers.exchange.text_tables import Expression, Reading, parsed, sensor_of, texts_of
 from trackwright.trackers.recordings.columns import QUATERNION
-from trackwright.trackers.recordings.input_file import read_model
+from trackwright.trackers.recordings.files import read_model
 from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.tables import TableFile
 

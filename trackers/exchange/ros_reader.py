@@ -13,7 +13,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.exchange.mapping import Source, TableMapping, read_mapping
 from trackwright.trackers.exchange.text_tables import parsed, sensor_of
-from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.files import file_bytes
 from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.tables import TableFile
 

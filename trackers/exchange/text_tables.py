@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, counted, listed, near
-from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.files import file_bytes
 from trackwright.trackers.recordings.tables import TableFile, first_row, read_table_file, remedy
 
 CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}  # times of day; days, counted to the begin of 1970

@@ -21,8 +21,8 @@ from trackwright.trackers.evaluation.rows import AXES
 from trackwright.trackers.exchange.mapping import refuse_lost_digits, without_identities
 from trackwright.trackers.exchange.text_tables import Reading, numbers_of, read_rows
 from trackwright.trackers.recordings import tables as table_times
-from trackwright.trackers.recordings.atomic import write_whole
 from trackwright.trackers.recordings.columns import QUATERNION, float_column
+from trackwright.trackers.recordings.files import write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder, Selection, read_recording, read_recordings
 from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.tables import SUFFIXES, TableFile, check_stds, first_row, read_table_file

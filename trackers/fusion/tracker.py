@@ -32,8 +32,8 @@ from trackwright.trackers.parts.drifting_biases import (
     norm_of,
     shrunk_speed,
 )
+from trackwright.trackers.parts.multilaterate import WINDOWS_S
 from trackwright.trackers.parts.ranges import with_delay
-from trackwright.trackers.parts.recent_positions import WINDOWS_S
 from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder

@@ -17,10 +17,9 @@ from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import KnotTimes, knot_times
 from trackwright.trackers.parts.fixes import AXES_M, AXES_STD_M
-from trackwright.trackers.parts.range_rows import range_trajectories
-from trackwright.trackers.parts.ranges import RANGES, RangeSensor
+from trackwright.trackers.parts.ranges import RANGES, RangeSensor, range_trajectories
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
     Trajectories,
     Trajectory,

@@ -11,7 +11,7 @@ from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.mhk.tracker import mhk_tracker
 from trackwright.trackers.parts.fixes import FIXES, fix_trajectories, lacks_fixes
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import Trajectories
 
 

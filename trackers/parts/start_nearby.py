@@ -29,7 +29,7 @@ class AbstractNearbyStart(AbstractStart):
     """A start at the position in the input `nearby` (4,): x, y, z in m, and 1 where recent measurements determine it.
 
     `nearby` comes from `recent_points` (trackers/aoa/rays.py) for bearings and from `recent_positions`
-    (trackers/parts/recent_positions.py) for ranges.
+    (trackers/parts/multilaterate.py) for ranges.
     """
 
     @property

@@ -19,8 +19,16 @@ from jaxtyping import Float
 from pydantic import BeforeValidator, Field
 
 from trackwright.trackers.core.model.rig import Point, Rig, Station
-from trackwright.trackers.recordings.atomic import atomic_write, json_text
-from trackwright.trackers.recordings.input_file import AS_FILE, NUMBERS, Count, Number, Positive, read_model
+from trackwright.trackers.recordings.files import (
+    AS_FILE,
+    NUMBERS,
+    Count,
+    Number,
+    Positive,
+    atomic_write,
+    json_text,
+    read_model,
+)
 
 ANGLES = ("azimuth", "elevation")
 

@@ -34,10 +34,6 @@ class TagRows:
     `tags`: by first appearance. `starts` (tags + 1,): first of the N rows of each tag, then N. `times` (N,): s.
     """
 
-    tags: list[str]
-    starts: np.ndarray
-    times: np.ndarray
-
     def __init__(self, table: pl.DataFrame) -> None:
         tags = table["tag"].cast(pl.String)
         self.tags = tags.unique(maintain_order=True).to_list()

@@ -16,15 +16,16 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
+import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.seconds import UNIX_S, seconds
 from trackwright.trackers.core.errors import UnusableInput, has_control, listed
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.atomic import beside
 from trackwright.trackers.recordings.checks.rules import check_rows
 from trackwright.trackers.recordings.columns import TagRows, TruePaths
-from trackwright.trackers.recordings.kinds import KINDS, distinct, std_column, table_kinds
+from trackwright.trackers.recordings.files import beside
+from trackwright.trackers.recordings.kinds import KINDS, Streams, distinct, std_column, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackwright.trackers.recordings.tables import SUFFIXES, read_table
 
@@ -44,12 +45,9 @@ class Tables(Mapping[str, pl.DataFrame]):
 
     def __init__(self, frames: Mapping[str, pl.DataFrame]) -> None:
         # A cast of time stamps to numbers would count their unit.
-        self._frames = {
-            name: frame.with_columns(t_s=seconds(frame["t_s"].to_numpy()))
-            if frame.schema.get("t_s", pl.Float64()).is_temporal()
-            else frame
-            for name, frame in frames.items()
-        }
+        stamped = {name: of for name, of in frames.items() if of.schema.get("t_s", pl.Float64()).is_temporal()}
+        made = {name: of.with_columns(t_s=seconds(of["t_s"].to_numpy())) for name, of in stamped.items()}
+        self._frames = {**frames, **made}
         self._rows: dict[tuple[str, float], TagRows] = {}
         self._paths: TruePaths | None = None
 
@@ -106,6 +104,11 @@ class RecordingFolder:
         """The rows of a table by tag, made once; averages over `average_s` unless the recording has its own."""
         assert isinstance(self.tables, Tables)
         return self.tables.rows(table, average_s if self.average_s is None else 0.0)
+
+    def streams(self, table: str) -> Streams:
+        """The readings of a table by stream."""
+        rows = self.rows(table)
+        return KINDS[table].measured(self.rig, rows).streams(rows.of_each(np.arange(len(rows.tags))))
 
     @property
     def paths(self) -> TruePaths:
@@ -206,9 +209,8 @@ class Selection:
         """The rows of a table of estimates in these tags and times; raises UnusableInput without any."""
         kept = self._rows(tracks, True)
         if not kept.height:
-            expected = (
-                f"tags among {listed(tracks['tag'].cast(pl.String).unique().sort())} and a part of {_span(tracks)}"
-            )
+            tags = listed(tracks["tag"].cast(pl.String).unique().sort())
+            expected = f"tags among {tags} and a part of {_span(tracks)}"
             raise UnusableInput(f"no estimate is of these tags and times; expected {expected}")
         return kept
 

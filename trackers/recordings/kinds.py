@@ -16,13 +16,15 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import polars as pl
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.data.seconds import seconds
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Point, Rig, angles_in_array
-from trackwright.trackers.recordings.columns import QUATERNION, TagRows
+from trackwright.trackers.recordings.columns import QUATERNION, TagRows, stable_order, within_groups
 
+MANY_REPEATS = 0.2  # share of readings that equal the one before from which a source may repeat them
+MOST_ROWS = 100_000  # of a table whose streams are looked at
 UNITS = {"m": "m", "rad": "rad", "mps": "m/s", "mps2": "m/s²", "radps": "rad/s"}  # by the ending of a column
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*_(m|rad|mps2?|radps)")
@@ -204,6 +206,23 @@ class Kind:
         return wrapped(errors, columns)
 
 
+class Streams(NamedTuple):
+    """Readings (N, m) of columns, NaN where missing, one stream, of a tag and a sensor, after another.
+
+    Of each but the first: whether it `follows` one in its stream, and how it `moved`; infinite where one lacks.
+    """
+
+    columns: tuple[str, ...]
+    values: Float[np.ndarray, "N m"]
+    follows: Bool[np.ndarray, " n"]
+    moved: Float[np.ndarray, "n m"]
+
+    @property
+    def repeated_share(self) -> float:
+        """The share of those with a predecessor in their stream that equal it in all columns; NaN without any."""
+        return float(np.mean((self.moved[self.follows] == 0.0).all(axis=1))) if self.follows.any() else math.nan
+
+
 class Measured(NamedTuple):
     """The readings (N, m) of `columns`, NaN where missing, and their anchors or stations, numbered in `ids`."""
 
@@ -222,6 +241,19 @@ class Measured(NamedTuple):
     def of_rows(self, part: np.ndarray) -> Measured:
         """Some of the readings, by their numbers."""
         return self._replace(values=self.values[part], sensors=self.sensors._replace(number=self.sensors.number[part]))
+
+    def streams(self, stream: Int[np.ndarray, " N"]) -> Streams:
+        """These readings, each of a tag's `stream`; of more than `MOST_ROWS`, equally many first ones of a stream."""
+        for number in self.sensors.number.T:
+            stream = stream * len(self.ids) + number
+        order = stable_order(stream)
+        if len(order) > MOST_ROWS:
+            counts = np.bincount(stream)
+            order = order[within_groups(counts) < MOST_ROWS // np.count_nonzero(counts)]
+        order = order[np.isfinite(self.values[order]).any(axis=1)]
+        x, missing = self.values[order], np.isnan(self.values[order])
+        moved = np.where(missing[1:] & missing[:-1], 0.0, wrapped(np.diff(x, axis=0), self.columns))
+        return Streams(self.columns, x, np.diff(stream[order]) == 0, np.where(np.isnan(moved), np.inf, moved))
 
     def predicted(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N m"]:
         """The values that positions imply."""

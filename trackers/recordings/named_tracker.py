@@ -1,4 +1,4 @@
-"""A tracker by name that runs on recording folders: the catalogue's entry with noise levels and settings.
+"""A catalogue entry of a tracker, and the tracker by name that it makes, with noise levels, for recording folders.
 
 Recordings in map coordinates are tracked about an origin nearby: single precision resolves 5e6 m to half a metre.
 Readings that a source repeats until it has a new one are used once; the rounding of readings is part of their variance.
@@ -7,8 +7,12 @@ Readings that a source repeats until it has a new one are used once; the roundin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+import re
+from collections import defaultdict
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,27 +21,124 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
 from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
+from trackwright.trackers.core.run.requirements import check_input
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.checks.readings import (
-    LEAST_PAIRS,
-    MANY,
-    Readings,
-    changes,
-    quantisation_step,
-    readings,
-    repeated_share,
-)
+from trackwright.trackers.core.user_file import fault_of
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
-from trackwright.trackers.recordings.kinds import KINDS, distinct, std_column, table_kinds
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec, faults_named
-from trackwright.trackers.recordings.tracks import Tracks, track
-from trackwright.trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.recordings.kinds import KINDS, MANY_REPEATS, Streams, distinct, std_column, table_kinds
+from trackwright.trackers.recordings.tracks import TrackerBatch, Tracks, track
+from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_height
 
 Recordings = RecordingFolder | Sequence[RecordingFolder]
+Key = tuple[bool, Hashable]  # whether a batch is planar, and the installation built into its tracker
 
 FAR_M = 1000.0  # x or y, m, from which on coordinates are a map's, if beyond the site
-HELD = 0.5  # least share of the repeats that chance does not explain where a source repeats its readings
-CLEAR = 1.5  # least size of a clear change, in steps
+# Least pairs that tell of repeats, least share of repeats that chance does not explain where a source repeats its
+# readings, and least size of a clear change, in steps.
+LEAST_PAIRS, HELD, CLEAR = 50, 0.5, 1.5
+# Most differences of a column, least that tell a quantisation step, share of these that are multiples, and distance
+# from one in steps: one in 25 continuous values is as near.
+MOST_DIFFERENCES, LEAST_VALUES, MULTIPLES, NEAR = 20_000, 20, 0.95, 0.02
+QUANTILES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3)
+
+
+@contextmanager
+def faults_named(tracker: str, name: str, function: Callable[..., Any]) -> Iterator[None]:
+    """Raises UnusableInput, with the line, where a function of a user's tracker fails; else the fault as it is."""
+    try:
+        yield
+    except (UnusableInput, MemoryError):
+        raise
+    except Exception as error:
+        code = getattr(function, "__code__", None)
+        if code is None or function.__module__.startswith("trackwright."):
+            raise
+        file = Path(code.co_filename)
+        raise UnusableInput(f"{tracker}: {name} failed ({fault_of(error, file)}); correct {file.name}") from error
+
+
+def at_known_height(trajectory: Trajectory, free_height: bool) -> bool:
+    """Whether a tag's height is known and to be used, so that only its position over the floor is estimated."""
+    return not free_height and known_height(trajectory.folder, trajectory.tag) is not None
+
+
+@dataclass(frozen=True)
+class TrackerSpec:
+    """A tracker of the catalogue, or a user's own.
+
+    `about`: one line for lists and help. `table`: the table it reads. `trajectories(folder, free_height)`: the rows of
+    every tag (or of every tag and station) of a recording folder. `build(trajectory, planar)`: the tracker for a
+    trajectory. `lacks(folder)`: what a folder lacks for it, in words, or None where it fits; by default the table.
+    `geometry(trajectory)`: the part of the installation that is built into the tracker; trajectories that agree in
+    it and in `planar` run as one batch. `planar(trajectory, free_height)`: whether the state lies in a plane. Both are
+    asked once for all tags of a folder that share station and known height, where the rows are `Trajectories`.
+    `notices(folder, free_height)`: a line for each tag of which the tracker assumes what the folder contradicts.
+    `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
+    `bearing_only`: it estimates directions, not positions. `every_row`: the tables of which it reads rows that repeat a
+    value, too, since it averages them, counts rows, or estimates each time by itself.
+    """
+
+    about: str
+    table: str
+    trajectories: Callable[[RecordingFolder, bool], Iterable[Trajectory]]
+    build: Callable[[Trajectory, bool], AbstractTracker]
+    lacks: Callable[[RecordingFolder], str | None] | None = None
+    geometry: Callable[[Trajectory], Hashable] = lambda trajectory: ()
+    planar: Callable[[Trajectory, bool], bool] = at_known_height
+    notices: Callable[[RecordingFolder, bool], Iterable[str]] = lambda folder, free_height: ()
+    automatic: Callable[[RecordingFolder], bool] = lambda folder: True
+    bearing_only: bool = False
+    every_row: Collection[str] = ()
+
+    @property
+    def reads(self) -> frozenset[str]:
+        """The words of `table`, among them the tables that it reads."""
+        return frozenset(re.findall(r"\w+", self.table))
+
+    def missing(self, folder: RecordingFolder) -> str | None:
+        """What the folder lacks for this tracker, in words, or None where it fits."""
+        if self.lacks is not None:
+            return self.lacks(folder)
+        return None if self.table in folder.tables else f"a {self.table} table, found no such table"
+
+    def refusal(self, folder: RecordingFolder, name: str) -> str | None:
+        """Why the tracker, of this name, does not run on the folder, in one line; None where it fits."""
+        if (missing := self.missing(folder)) is None:
+            return None
+        return f"{folder.path or folder.name}: tracker '{name}' needs {missing}; its tables: {', '.join(folder.tables)}"
+
+    def batches(self, folders: Sequence[RecordingFolder], name: str, free_height: bool = False) -> list[TrackerBatch]:
+        """The trajectories of all folders, batched by tracker; raises UnusableInput for one that lacks something."""
+        grouped: dict[Key, list[Trajectories]] = defaultdict(list)
+        for folder in folders:
+            if refused := self.refusal(folder, name):
+                raise UnusableInput(refused)
+            with faults_named(name, "trajectories", self.trajectories):
+                rows = self.trajectories(folder, free_height)
+                groups = [rows] if isinstance(rows, Trajectories) else [Trajectories.of([one]) for one in rows]
+            with faults_named(name, "planar", self.planar):
+                for group in groups:
+                    for key, part in self._parts(group, free_height).items():
+                        grouped[key].append(part)
+        joined = {key: Trajectories.joined(parts) for key, parts in grouped.items()}
+        with faults_named(name, "build", self.build):
+            built = [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
+        for batch in built if ":" in name else ():  # a user's own, FILE.py:NAME
+            with faults_named(name, "run", self.build):
+                check_input(batch.tracker, batch.trajectories[0].recording, name)
+        return built
+
+    def _parts(self, trajectories: Trajectories, free_height: bool) -> dict[Key, Trajectories]:
+        """The trajectories by `planar` and `geometry`, which are the first one's of each station and height."""
+        kinds: dict[tuple[str, float], Key] = {}
+        parts: dict[Key, list[int]] = defaultdict(list)
+        heights = np.nan_to_num(trajectories.heights, nan=np.inf).tolist()
+        for number, kind in enumerate(zip(trajectories.stations, heights, strict=True)):
+            if kind not in kinds:
+                first = trajectories[number]
+                kinds[kind] = self.planar(first, free_height), self.geometry(first)
+            parts[kinds[kind]].append(number)
+        return {key: trajectories.chosen(np.array(numbers)) for key, numbers in parts.items()}
 
 
 @dataclass(frozen=True, repr=False)
@@ -131,8 +232,7 @@ class NamedTracker:
             except TypeError as error:
                 fix = "run it without smoothing"
                 raise UnusableInput(f"tracker '{self.name}' cannot be smoothed: {error}; {fix}") from error
-        finished: AbstractTracker = tracker
-        return finished
+        return tracker  # type: ignore[no-any-return]
 
     def __repr__(self) -> str:
         return f"<tracker {self.name}: {self.spec.about}; tunables {', '.join(self.tunables)}>"
@@ -175,7 +275,7 @@ def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[Recor
             lines += [f"{folder.name}: {line}"] * (line not in folder.notices)
         if folder.average_s is not None or not kind.averaged or name not in names:
             continue
-        if source_repeats(readings(own, name)):
+        if source_repeats(own.streams(name)):
             columns = kind.layout(rows.columns)
             values = [pl.col(column) for column in columns.values]
             same = pl.all_horizontal(x.eq_missing(x.forward_fill().shift().over(columns.ids)) for x in values)
@@ -188,21 +288,33 @@ def counted_once(folder: RecordingFolder, names: Collection[str]) -> tuple[Recor
     return (replace(folder, tables={**folder.tables, **tables}) if tables else folder), lines
 
 
-def source_repeats(read: Readings) -> bool:
+def source_repeats(read: Streams) -> bool:
     """Whether readings repeat the one before so often that most repeats are no new readings."""
-    if not repeated_share(read) >= MANY:
+    if not read.repeated_share >= MANY_REPEATS:
         return False
-    follows, moved = changes(read)
     steps = np.array([quantisation_step(read, k) or 0.0 for k in range(len(read.columns))])
-    clear = (np.abs(moved) > CLEAR * steps).any(axis=1)
+    clear = (np.abs(read.moved) > CLEAR * steps).any(axis=1)
     # A change follows the one before where the rows of both have a predecessor in one stream.
-    after = np.flatnonzero(follows[1:] & follows[:-1] & clear[:-1]) + 1
+    after = np.flatnonzero(read.follows[1:] & read.follows[:-1] & clear[:-1]) + 1
     if len(after) < LEAST_PAIRS:
         return False
-    share = float(np.mean((moved[after] == 0.0).all(axis=1)))
+    share = float(np.mean((read.moved[after] == 0.0).all(axis=1)))
     # All columns repeat at most as often as each of them.
-    chance = min((chance_of_repeat(moved[after, k], step) for k, step in enumerate(steps)), default=0.0)
-    return share >= MANY and share - chance > HELD * share
+    chance = min((chance_of_repeat(read.moved[after, k], step) for k, step in enumerate(steps)), default=0.0)
+    return share >= MANY_REPEATS and share - chance > HELD * share
+
+
+def quantisation_step(read: Streams, column: int) -> float | None:
+    """The quantisation step of a column, in its unit; None where its changes are not multiples of one."""
+    x = np.abs(read.moved[:MOST_DIFFERENCES, column][read.follows[:MOST_DIFFERENCES]])
+    x = x[np.isfinite(x) & (x > 1e-12 * (1.0 + np.nanmax(np.abs(read.values[:, column]), initial=0.0)))]
+    # The coarsest first: a few values off the steps, as means of two, are multiples of half a step.
+    for candidate in np.unique(np.quantile(x, QUANTILES, method="lower"))[::-1] if len(x) >= LEAST_VALUES else ():
+        multiples = np.round(x / candidate)
+        good = (np.abs(x / candidate - multiples) < NEAR) & (multiples > 0)
+        if good.mean() >= MULTIPLES:
+            return float(x[good].sum() / multiples[good].sum())
+    return None
 
 
 def chance_of_repeat(moved: np.ndarray, step: float) -> float:
@@ -219,7 +331,7 @@ def with_rounding(folder: RecordingFolder, names: Collection[str]) -> RecordingF
     for name in (n for n in KINDS if n in folder.tables and n in names):
         kind, table = KINDS[name], folder.tables[name]
         if kind.averaged and not any(std_column(column) in table.columns for column in kind.least):
-            read = readings(folder.unaveraged or folder, name)
+            read = (folder.unaveraged or folder).streams(name)
             steps = {column: quantisation_step(read, k) for k, column in enumerate(read.columns)}
             spreads = {std_column(c): pl.lit(step / math.sqrt(12.0)) for c, step in steps.items() if step is not None}
             if spreads:
@@ -245,8 +357,7 @@ def near_origin(folder: RecordingFolder) -> RecordingFolder:
         return folder
     x, y = middle.tolist()
     here = {"x_m": pl.col("x_m") - x, "y_m": pl.col("y_m") - y}
-    kinds = table_kinds()
-    tables = {name: t.with_columns(**here) if kinds[name].position else t for name, t in folder.tables.items()}
+    tables = {n: t.with_columns(**here) if table_kinds()[n].position else t for n, t in folder.tables.items()}
     return replace(folder, rig=_moved(rig, middle), tables=tables, origin=(x, y))
 
 

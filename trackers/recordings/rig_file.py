@@ -15,14 +15,13 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from trackwright.trackers.core.errors import UnusableInput, has_control
 from trackwright.trackers.core.model.rig import Point, Rig, Station, Tag, checked_knots
-from trackwright.trackers.recordings.input_file import NUMBERS, Number, read_model
+from trackwright.trackers.recordings.files import NUMBERS, Number, read_model
 
 FORMAT = 1
 RIG_FILE = "rig.toml"
 HIGHEST = 1e5  # metres, of a tag
 SHORTEST = 1e-6  # wavelength, m: of light
 NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
-
 
 Vector = Annotated[Point, NUMBERS]
 Quaternion = Annotated[Float[np.ndarray, " 4"], NUMBERS]

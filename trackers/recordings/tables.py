@@ -18,7 +18,7 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.columns import QUATERNION
-from trackwright.trackers.recordings.input_file import file_bytes
+from trackwright.trackers.recordings.files import file_bytes
 from trackwright.trackers.recordings.kinds import Kind, Layout, table_kinds, unit_of
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
@@ -263,10 +263,8 @@ def _check_sensors(file: TableFile, frame: pl.DataFrame, kind: Kind, rig: Rig) -
         return
     stations = {name: rig.stations[name].antennas for name in frame[kind.noun].unique(maintain_order=True)}
     bare = pl.Series([name for name, antennas in stations.items() if antennas is None], dtype=pl.String)
-    no_array = (
-        "a station with antennas_m and wavelength_m in rig.toml; add both, or give its angles in the table bearings"
-    )
-    file.refuse(frame[kind.noun].is_in(bare.implode()), kind.noun, no_array)
+    array = "a station with antennas_m and wavelength_m in rig.toml; add both, or give its angles in the table bearings"
+    file.refuse(frame[kind.noun].is_in(bare.implode()), kind.noun, array)
     counts = {name: len(antennas) for name, antennas in stations.items() if antennas is not None}
     phases, most = kind.layout(frame.columns).values, max(counts.values())
     names = [kind.columns[0].name.format(n=n + 1) for n in range(most)]
@@ -286,8 +284,7 @@ def _refuse_restart(file: TableFile, frame: pl.DataFrame, ids: tuple[str, ...]) 
     rows = frame.with_row_index("row").unique(subset=frame.columns, keep="first", maintain_order=True)
     for part in rows.partition_by(ids, maintain_order=True):
         t = part["t_s"].to_numpy()
-        at = restarted_at(t)
-        if at is not None:
+        if (at := restarted_at(t)) is not None:
             raise UnusableInput(
                 f"{file.location(part['row'][at], 't_s')}: {t[at]:.3f} after {t[:at].max():.3f} of the same "
                 f"{' and '.join(reversed(ids))}: the clock went back; expected times that increase; make the rows "

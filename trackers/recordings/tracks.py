@@ -15,11 +15,21 @@ from trackwright.trackers.core.data.frames import frame_html, to_pandas
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.state import Heading
 from trackwright.trackers.core.run.chunks import CHUNK
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.tracks_table import HEADING
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
 
 MAX_BATCH = 8 * CHUNK  # trajectories in memory at once, on every machine
+
+
+@dataclass(frozen=True)
+class TrackerBatch:
+    """Trajectories that one tracker runs as a batch; `planar`: the state lies in a plane, as of the floor."""
+
+    tracker: AbstractTracker
+    trajectories: Sequence[Trajectory]
+    planar: bool
+    notices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, repr=False)
@@ -149,10 +159,8 @@ def angles(estimates: Estimates) -> dict[str, np.ndarray]:
     mean, sigmas = estimates.mean, estimates.sigmas
     if hasattr(mean, "heading"):
         angle, sigma = np.asarray(mean.heading.angle), sigmas["heading.0"]
-        azimuth, elevation = (
-            np.where(np.cos(angle) >= 0, np.pi / 2, -np.pi / 2),
-            np.arcsin(np.clip(np.sin(angle), -1, 1)),
-        )
+        azimuth = np.where(np.cos(angle) >= 0, np.pi / 2, -np.pi / 2)
+        elevation = np.arcsin(np.clip(np.sin(angle), -1, 1))
         spreads = np.full_like(sigma, np.nan), sigma
     else:
         azimuth, elevation, spreads = mean.azimuth, mean.elevation, (sigmas["azimuth"], sigmas["elevation"])

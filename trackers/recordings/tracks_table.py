@@ -10,8 +10,8 @@ from pathlib import Path
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, has_control
+from trackwright.trackers.recordings.files import file_bytes
 from trackwright.trackers.recordings.folder import RecordingFolder, is_part, read_recording
-from trackwright.trackers.recordings.input_file import file_bytes
 from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.tables import read_parquet
 

@@ -148,8 +148,7 @@ def trajectory_ids(folder: str, tags: Sequence[str], stations: Sequence[str]) ->
 def with_floor_truth(trajectory: Trajectory) -> Trajectory:
     """The trajectory with true positions over the floor, (T, 2) m, known also where the truth has no height."""
     recording = trajectory.recording
-    ends = np.array([0, len(recording)])
-    positions, status = trajectory.folder.paths.at([trajectory.tag], ends, recording.times)
+    positions, status = trajectory.folder.paths.at([trajectory.tag], np.array([0, len(recording)]), recording.times)
     known = status == TruthStatus.SCORED
     position = np.where(known[:, None], positions[:, :2], 0.0)
     return replace(trajectory, recording=replace(recording, truth={"position": (position, known)}))

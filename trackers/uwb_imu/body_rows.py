@@ -13,17 +13,17 @@ import polars as pl
 from trackwright.trackers.core.data.recording import Columns, Readings
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.parts.range_rows import (
+from trackwright.trackers.parts.ranges import (
     CARRIER,
+    RANGES,
     anchor_positions,
     range_inputs,
     range_rows,
     room_of_anchors,
 )
-from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
     Trajectories,
     Trajectory,

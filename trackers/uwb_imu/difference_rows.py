@@ -12,11 +12,11 @@ from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.range_rows import anchor_positions, lacks_a_plane, room_of_anchors, within_limits
-from trackwright.trackers.parts.recent_positions import WINDOWS_S
+from trackwright.trackers.parts.multilaterate import WINDOWS_S
+from trackwright.trackers.parts.ranges import anchor_positions, lacks_a_plane, room_of_anchors, within_limits
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_heights, trajectories_of
 from trackwright.trackers.uwb_imu.differences import TDOA, difference_tracker
 from trackwright.trackers.uwb_imu.hyperbolic import Differences, hyperbolic_positions

@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trackwright.trackers.parts.multilaterate import FURTHEST, RIDGE
-from trackwright.trackers.parts.recent_positions import CAUCHY_SCALE
+from trackwright.trackers.parts.multilaterate import CAUCHY_SCALE, FURTHEST, RIDGE
 
 MIN_INFORMATION = 1e-3
 """Smallest eigenvalue of the horizontal information matrix, per difference, at which a position is determined.

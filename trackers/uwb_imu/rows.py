@@ -9,14 +9,14 @@ from functools import partial
 import numpy as np
 
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.range_rows import (
+from trackwright.trackers.parts.ranges import (
     anchor_positions,
     lacks_a_plane,
     range_trajectories,
 )
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
     Trajectory,
     known_heights,

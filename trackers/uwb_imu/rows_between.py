@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.trackers.core.data.recording import Columns, Readings
-from trackwright.trackers.parts.range_rows import room_of_anchors
+from trackwright.trackers.parts.ranges import room_of_anchors
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS

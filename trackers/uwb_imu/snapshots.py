@@ -11,15 +11,15 @@ import numpy as np
 
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS
-from trackwright.trackers.parts.range_rows import (
+from trackwright.trackers.parts.multilaterate import latest_rows
+from trackwright.trackers.parts.ranges import (
+    RANGES,
     anchor_positions,
     range_rows,
 )
-from trackwright.trackers.parts.ranges import RANGES
-from trackwright.trackers.parts.recent_positions import latest_rows
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracker_spec import TrackerSpec
+from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import (
     Trajectories,
     known_height,

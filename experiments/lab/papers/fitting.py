@@ -20,7 +20,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.cli.main import run_alone
 from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import atomic_write
+from trackwright.trackers.recordings.files import atomic_write
 
 LAB = Path(__file__).parents[1]
 STEP = 0.05

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 import trackwright as tw
 from trackwright.experiments.lab.runner import EVIDENCE, Case, Figures, read
 from trackwright.experiments.lab.validation.sites import read as recording
-from trackwright.trackers.recordings.tracker_spec import TrackerBatch
+from trackwright.trackers.recordings.tracks import TrackerBatch
 from trackwright.tuning.data import FitArrays, fit_data
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem

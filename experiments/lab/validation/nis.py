@@ -22,6 +22,7 @@ from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.sim import SimulatedWorld, worlds
 from trackwright.trackers.aoa.fusion import BearingSensor
 from trackwright.trackers.aoa.phases import AbstractPhaseSensor
+from trackwright.trackers.core.data.consistency import nis_band, student_t_dof_of
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.model.algebra import Vector, diagonal, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
@@ -35,7 +36,6 @@ from trackwright.trackers.parts.fixes import AbstractFixSensor
 from trackwright.trackers.parts.ranges import RangeSensor
 from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter, with_yaw_added
-from trackwright.tuning.diagnostics import nis_band, student_t_dof_of
 
 TAGS, SEEDS, SETTLED, WINDOW, NARROWER = 24, 5, 5.0, 50, 30.0
 WORLDS: Mapping[str, Callable[..., SimulatedWorld]] = {
@@ -73,7 +73,7 @@ def figures(name: str, seed: int) -> Figures:
     for nis, dof, rows in zip(run.nis, run.nis_dof, used, strict=True):
         whole = rows.sum() // WINDOW * WINDOW
         total, freedom = (x[rows][:whole].astype(float).reshape(-1, WINDOW).sum(axis=1) for x in (nis, dof))
-        nu = student_t_dof_of(tracker)
+        nu = student_t_dof_of(tracker.nis_sensors)
         low, high = nis_band(freedom, None if nu is None else float(np.asarray(nu)))
         inside += ((low <= total / freedom) & (total / freedom <= high)).tolist()
     ratio = float(run.nis[used].sum(dtype=float) / run.nis_dof[used].sum(dtype=float))

@@ -15,8 +15,7 @@ from trackwright.experiments.lab.runner import Case, Figures
 from trackwright.experiments.lab.validation import levels
 from trackwright.experiments.lab.validation.sites import SITES, Site, read, recordings, same_installation, site_of
 from trackwright.experiments.pages.tuning import judge, tracked
-from trackwright.trackers.evaluation.evaluate import Evaluation
-from trackwright.trackers.evaluation.statements import verdict
+from trackwright.trackers.evaluation.evaluate import Evaluation, verdict
 from trackwright.tuning.calibrating import by_halves
 from trackwright.tuning.parameters import PriorKind
 

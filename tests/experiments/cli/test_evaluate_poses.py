@@ -12,7 +12,7 @@ import pytest
 from tests.in_process import PLAIN, assert_refused_last, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
 from trackwright.trackers.exchange.trajectories import write_trajectory
-from trackwright.trackers.recordings.atomic import write_whole
+from trackwright.trackers.recordings.files import write_whole
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ import pytest
 
 from tests.in_process import trackwright
 from trackwright.experiments.cli import console, options
-from trackwright.experiments.cli.commands import COMMANDS, application
+from trackwright.experiments.cli.main import COMMANDS, application
 from trackwright.sim import worlds
 from trackwright.trackers.exchange import trajectories
 from trackwright.trackers.recordings import folder

@@ -7,7 +7,7 @@ import pytest
 import trackwright as tw
 from trackwright.experiments.monte_carlo import chunk
 from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from trackwright.experiments.monte_carlo.program import Unfit, compiled, part_of
+from trackwright.experiments.monte_carlo.program import UnfitError, compiled, part_of
 from trackwright.sim.keys import keys_of, trajectory_keys
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.run.chunks import as_dtype
@@ -31,7 +31,7 @@ def _both(study):
     program = chunk._program_of(study, condition, name)
     assert program is not None
     prepared = chunk.Prepared(study, condition, ids)
-    return program(part_of(study.seed, ids)), chunk._scored(prepared, name, study.trackers[name])
+    return program.run(part_of(study.seed, ids)), chunk._scored(prepared, name, study.trackers[name])
 
 
 @pytest.mark.parametrize(("world", "tracker", "numbers"), PAIRS)
@@ -59,12 +59,14 @@ def test_a_smoothed_or_thinned_tracker_has_a_program_too(config):
 def test_a_tracker_whose_rows_are_no_drawn_numbers_is_told_apart(world, tracker, reason):
     study = _study(world, tracker, {})
     folder = WORLDS[world](np.zeros(1, int), 0)
-    with pytest.raises(Unfit, match=reason):
+    with pytest.raises(UnfitError, match=reason):
         compiled(folder, lambda f: study.trackers[tracker].spec.batches([f], tracker), None, part_of(0, np.arange(N)))
     assert chunk._program_of(study, study.conditions[0], tracker) is None
 
 
-@pytest.mark.parametrize(("world", "numbers"), [*{w: (w, n) for w, _, n in PAIRS}.values(), ("ranges", {}), ("fusion", {})])
+@pytest.mark.parametrize(
+    ("world", "numbers"), [*{w: (w, n) for w, _, n in PAIRS}.values(), ("ranges", {}), ("fusion", {})]
+)
 def test_a_world_drawn_in_a_program_is_the_one_in_its_folder(world, numbers):
     draw = getattr(tw.simulate, world)(n=1, **numbers).folder().tables.draw
     part = part_of(5, np.arange(3))
@@ -79,5 +81,5 @@ def test_conditions_that_differ_in_numbers_share_a_program():
     study = Study("study", "", worlds, {"beam": TrackerConfig("beam")}, runs=2 * N, grid=grid)
     first, second = (chunk._program_of(study, condition, "beam") for condition in study.conditions)
     assert first.program is second.program
-    errors = [one(part_of(0, np.arange(N)))["sum squares direction_rad"].sum() for one in (first, second)]
+    errors = [one.run(part_of(0, np.arange(N)))["sum squares direction_rad"].sum() for one in (first, second)]
     assert errors[0] < errors[1]

@@ -7,9 +7,9 @@ import polars as pl
 import pytest
 from scipy.stats import chi2
 
+from trackwright.trackers.evaluation.evaluate import LEAST_SAMPLES
 from trackwright.trackers.evaluation.metrics import UNCERTAIN, metrics
 from trackwright.trackers.evaluation.rows import correlation_times, energy_scores
-from trackwright.trackers.evaluation.statements import LEAST_SAMPLES
 
 WORLDS = 400
 

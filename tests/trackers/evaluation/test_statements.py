@@ -5,9 +5,8 @@ import polars as pl
 import pytest
 
 from tests.trackers.evaluation.tables import evaluate_table
-from trackwright.trackers.evaluation.evaluate import Evaluation
+from trackwright.trackers.evaluation.evaluate import Evaluation, verdict
 from trackwright.trackers.evaluation.rows import scored_rows
-from trackwright.trackers.evaluation.statements import verdict
 
 N = 4000
 

@@ -8,8 +8,7 @@ import pytest
 import trackwright as tw
 from trackwright.sim import worlds as simulate
 from trackwright.trackers.catalogue import TRACKERS, build
-from trackwright.trackers.parts.range_rows import range_trajectories
-from trackwright.trackers.parts.ranges import RANGES
+from trackwright.trackers.parts.ranges import RANGES, range_trajectories
 from trackwright.trackers.recordings.calibration import UNCALIBRATED, AnchorCalibration, Calibration
 from trackwright.trackers.uwb_imu.fusion import range_levels
 

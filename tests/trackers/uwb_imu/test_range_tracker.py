@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
+from trackwright.trackers.parts.multilaterate import recent_positions
 from trackwright.trackers.parts.ranges import RANGES
-from trackwright.trackers.parts.recent_positions import recent_positions
 from trackwright.trackers.uwb_imu.fusion import range_tracker
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trackwright.trackers.core.data.recording import stack
-from trackwright.trackers.parts.range_rows import range_trajectories
+from trackwright.trackers.parts.ranges import range_trajectories
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.uwb_imu.fusion import range_tracker
 

@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float, Int, Num, Shaped
 from trackwright.trackers.core.data.frames import estimates_html, to_pandas
 from trackwright.trackers.core.errors import UnusableInput, numbered_names
 from trackwright.trackers.core.model.algebra import dense, triangle
-from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.model.state import component_names, path_name
 
 
@@ -48,7 +47,7 @@ STEP_COLUMNS = ("nis", "nis_dof", "log_likelihood")
 """Columns of tables of estimates: attributes of `Estimates`, summed over the rows of a time."""
 
 
-def is_usable(status: Int[AnyArray, "*rows"]) -> Bool[AnyArray, "*rows"]:
+def is_usable(status: Int[Any, "*rows"]) -> Bool[Any, "*rows"]:
     """The mask of `Status` codes of rows with an estimate: neither padding, waiting nor non-finite."""
     return (status == Status.OK) | (status == Status.RESTARTED) | (status == Status.LOST)
 

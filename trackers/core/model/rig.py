@@ -12,7 +12,6 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.inputs import AnyArray
 
 Point = Float[np.ndarray, " 3"]
 """A position in space, m."""
@@ -29,7 +28,7 @@ def rotation_matrices(quaternions: Float[np.ndarray, "*rows 4"]) -> Float[np.nda
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def angles_in_array(points: Float[AnyArray, "3 *rows"]) -> Float[AnyArray, "*rows 2"]:
+def angles_in_array(points: Float[Any, "3 *rows"]) -> Float[Any, "*rows 2"]:
     """Azimuth and elevation (..., 2), rad, of points in array frames: u = (sin az cos el, sin el, cos az cos el)."""
     (x, y, z), xp = points, points.__array_namespace__()
     return xp.stack([xp.arctan2(x, z), xp.arctan2(y, xp.hypot(x, z))], axis=-1)
@@ -62,11 +61,11 @@ class Station:
         """The 3 × 3 matrix that takes array-frame vectors to world-frame vectors; its columns are the array's axes."""
         return rotation_matrices(np.asarray(self.rotation, float) / math.hypot(*self.rotation))
 
-    def position_in_array(self, world: Float[AnyArray, "*rows 3"]) -> Float[AnyArray, "*rows 3"]:
+    def position_in_array(self, world: Float[Any, "*rows 3"]) -> Float[Any, "*rows 3"]:
         """World points (..., 3), m, in this station's array frame."""
         return (world - np.asarray(self.position)) @ self.world_from_array()
 
-    def angles(self, world: Float[AnyArray, "*rows 3"]) -> Float[AnyArray, "*rows 2"]:
+    def angles(self, world: Float[Any, "*rows 3"]) -> Float[Any, "*rows 2"]:
         """Azimuth and elevation (..., 2), rad, of world points (..., 3): u = (sin az cos el, sin el, cos az cos el)."""
         points = self.position_in_array(world)
         return angles_in_array(points.__array_namespace__().moveaxis(points, -1, 0))

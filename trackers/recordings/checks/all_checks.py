@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.recordings.checks import LEVELS, CheckResult, rules
-from trackwright.trackers.recordings.checks import readings as read
-from trackwright.trackers.recordings.checks.contradictions import check_contradictions
-from trackwright.trackers.recordings.checks.mistakes import check_mistakes
+from trackwright.trackers.core.errors import UnusableInput, listed, printable
+from trackwright.trackers.recordings.checks import rules
+from trackwright.trackers.recordings.checks.mistakes import check_contradictions, check_mistakes
+from trackwright.trackers.recordings.checks.readings import compared
+from trackwright.trackers.recordings.checks.rules import CheckResult, Level
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS
+from trackwright.trackers.recordings.kinds import KINDS, MANY_REPEATS
+
+LEVELS: tuple[Level, ...] = ("error", "warning", "info")
 
 
 def check(recording: RecordingFolder) -> list[CheckResult]:
@@ -35,7 +37,7 @@ def _results(recording: RecordingFolder, full: bool, calibrated: bool = False) -
     # Wrong units or times are a mistake that is named already.
     sound = all(one.level != "error" for one in results)
     for name in measured if sound else ():
-        view = read.compared(recording, name)
+        view = compared(recording, name)
         if view is not None and not view.kind.numbered:
             results += check_mistakes(view, calibrated)
     if "ranges" in tables and "truth" not in tables and sound and not calibrated:
@@ -61,9 +63,9 @@ def _of_tables(recording: RecordingFolder, measured: Mapping[str, pl.DataFrame])
         message = f"neither z_m nor height_m in rig.toml: {len(tags)} of the tags ({listed(map(repr, tags))})"
         yield CheckResult("warning", "fixes", f"{message}; track refuses them: give height_m under [tags.{tags[0]}]")
     for name in measured:
-        if (share := read.repeated_share(read.readings(recording, name))) >= 0.01:
+        if (share := recording.streams(name).repeated_share) >= 0.01:
             message = f"repeated readings: {share:.0%} of the rows equal the previous row of the same tag and sensor"
-            yield CheckResult("warning" if share >= read.MANY else "info", name, message)
+            yield CheckResult("warning" if share >= MANY_REPEATS else "info", name, message)
 
 
 def require_sound(recording: RecordingFolder, force: bool | None, calibrated: bool) -> list[str]:
@@ -74,3 +76,12 @@ def require_sound(recording: RecordingFolder, force: bool | None, calibrated: bo
         more = f" (and {len(errors) - 1} more: `trackwright check {recording.path}`)" if len(errors) > 1 else ""
         raise UnusableInput(f"{errors[0]}{more}{'' if force is None else '; --force takes it as it is'}")
     return [line for _, line in lines]
+
+
+def format_results(results: Sequence[CheckResult]) -> str:
+    """The results as aligned lines of plain text, the most severe first, and a last line with their counts."""
+    width = max((len(one.where) for one in results), default=0)
+    ordered = sorted(results, key=lambda one: LEVELS.index(one.level))
+    lines = [printable(f"{one.level:<7}  {one.where:<{width}}  {one.message}") for one in ordered]
+    errors, warnings, infos = (sum(one.level == level for one in results) for level in LEVELS)
+    return "\n".join([*lines, f"errors: {errors}, warnings: {warnings}, notes: {infos}"])

@@ -1,18 +1,24 @@
-"""The most likely mistakes in a table: changes of readings, rig or truth that explain nearly all rows, ranked once."""
+"""The most likely mistakes in a table: changes of readings, rig or truth that explain nearly all rows, ranked once.
+
+Without truth: changes that make the ranges of one moment agree, each at the position that fits them best with it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import combinations, permutations, product
+from itertools import combinations, compress, permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
+import polars as pl
 from jaxtyping import Float
 
 from trackwright.trackers.core.errors import listed, significant
-from trackwright.trackers.recordings.checks import CheckResult
-from trackwright.trackers.recordings.checks.readings import Compared, known_median, robust_fit
+from trackwright.trackers.core.model.rig import Rig
+from trackwright.trackers.recordings.checks.readings import Compared, about_vertical, known_median, robust_fit
+from trackwright.trackers.recordings.checks.rules import CheckResult, Level
+from trackwright.trackers.recordings.kinds import KINDS, Kind
 
 # Log ratios of errors: price of a change and of each number, least gain, and that of numbers for one sensor. Errors
 # left, in those that need no explanation, and share of rows below three of these; ratio of errors from which a sensor
@@ -21,6 +27,9 @@ PENALTY, GAIN, FITTED_GAIN, EXPLAINED, NEARLY, BROKEN, FEW = 0.06, 0.65, 1.0, 2.
 # Readings of the first search, starts that go on, ratio of errors of fits that do alike; most sensors, and the sum of
 # log ratios, of an exchange. Delays: least beside a frame, most that is tracked, most that is tried.
 COARSE, STARTS, ALIKE, MOST_SWAPPED, CLEAR, LEAST_CLOCK_S, LATENCY_S, LONGEST_S = 240, 5, 1.2, 32, 1.5, 0.05, 1.0, 60.0
+# Without truth: moments compared, ranges of one beyond its unknowns, errors that contradict, m, by how much a change
+# lowers them, how many may stay, steps to a position, and anchors of which two may be swapped.
+MOMENTS, SPARE, CONTRADICTED, FALL, FEW_LEFT, STEPS, MOST_PAIRED = 60, 2, 0.5, 3.0, 0.25, 12, 12
 
 FACTORS = {0.001: "millimetres", 0.01: "centimetres", 0.3048: "feet", 0.0254: "inches", 1e3: "kilometres"}
 # By the first column of a table, factors to its unit and what they undo.
@@ -67,38 +76,39 @@ class Found(NamedTuple):
     after: np.ndarray
 
 
-def changes(view: Compared) -> Iterator[Change]:
+def _scaled(kind: Kind, columns: Sequence[str]) -> Iterator[tuple[str, str, str, float]]:
+    """Words, cause, field and factor of other units and signs of readings and of the places of their sensors."""
+    default = {-1.0: "of the wrong sign"} if len(columns) == 1 else {}
+    for f, unit in UNITS.get(columns[0], default).items():
+        yield f"the {kind.name} multiplied by {f:g}", f"{kind.name} are {unit}; convert them", "values", f
+    for f, unit in FACTORS.items() if kind.sensors else ():
+        words = f"the positions of the {kind.noun}s multiplied by {f:g}"
+        yield words, f"rig.toml is in {unit}; convert it", "places", f
+
+
+def _changes(view: Compared) -> Iterator[Change]:
     """All changes of the readings of a table."""
-    kind, what, noun = view.kind, view.kind.name, view.kind.noun
-    order, xyz, other = list(range(len(view.columns))), [0, 1, 2], "the fixes" if view.kind.position else "rig.toml"
-    tried, default = (
-        list[tuple[str, str, str, list[int], Any]](),
-        {-1.0: "of the wrong sign"} if len(order) == 1 else {},
-    )
-    for f, unit in UNITS.get(view.columns[0], default).items():
-        tried += [(f"the {what} multiplied by {f:g}", f"{what} are {unit}; convert them", "values", order, f)]
+    kind, each = view.kind, bool(view.kind.sensors) and not view.kind.difference
+
+    def linear(words: str, cause: str, field: str, factors: Any, order: Any = slice(None), of: str = "") -> Change:
+        def apply(v: Compared, _: Any) -> Compared:
+            return v.changed(**{field: getattr(v if field in v._fields else v.sensors, field)[:, order] * factors})
+
+        return Change(words, cause, apply, each and field == "values", of)  # the unit of a difference is a message
+
+    yield from (linear(*one) for one in _scaled(kind, view.columns))
     cause = "angles of another convention, or the station turned; correct them"
-    tried += [(words, cause, "values", axes, signs) for words, axes, signs in ANGLES if kind.angles]
+    yield from (linear(words, cause, "values", signs, axes) for words, axes, signs in ANGLES if kind.angles)
     for f, unit in FACTORS.items():
-        cause = f"positions in rig.toml in {unit}; convert them"
-        tried += [(f"the positions of the {noun}s multiplied by {f:g}", cause, "places", xyz, f)] * bool(kind.sensors)
-        tried += [(f"the truth multiplied by {f:g}", f"truth in {unit}; convert it", "positions", xyz, f)]
-    for axes, signs in product(permutations(xyz), product((1, -1), repeat=3)):
+        yield linear(f"the truth multiplied by {f:g}", f"truth in {unit}; convert it", "positions", f)
+    cause = f"the truth has other axes than {'the fixes' if kind.position else 'rig.toml'}; bring both into one frame"
+    for axes, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
         read = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(axes, signs, strict=True))
-        cause = f"the truth has other axes than {other}; bring both into one frame"
-        tried += [(f"x, y, z of the truth read as {read}", cause, "positions", list(axes), signs)]
-    each = bool(kind.sensors) and not kind.difference  # the unit of a difference is a message
-    for words, cause, field, columns, factors in tried:
-        apply = partial(_linear, field=field, order=columns, factors=factors)
-        yield Change(words, cause, apply, each and field == "values", "height" if words.endswith(" x, y, -z") else "")
+        of = "height" if read == "x, y, -z" else ""
+        yield linear(f"x, y, z of the truth read as {read}", cause, "positions", signs, list(axes), of)
     yield from _exchanged(view) if kind.sensors and len(view.ids) <= MOST_SWAPPED else ()
     yield from _of_rig(view) if kind.sensors else ()
     yield from _of_truth(view)
-
-
-def _linear(view: Compared, _: Any, field: str, order: list[int], factors: Any) -> Compared:
-    of = view if field in view._fields else view.sensors
-    return view.changed(**{field: getattr(of, field)[:, order] * factors})
 
 
 def _of_rig(view: Compared) -> Iterator[Change]:
@@ -131,8 +141,7 @@ def _of_truth(view: Compared) -> Iterator[Change]:
     centre = np.nanmean(view.positions, axis=0)
 
     def apply(v: Compared, x: Numbers) -> Compared:
-        positions = (v.later(float(x[4])) if x[4] else v).positions
-        return v._replace(positions=centre + x[1:4] + (positions - centre) @ about_vertical(x[0]).T)
+        return (v.later(float(x[4])) if x[4] else v).turned(float(x[0]), centre, centre + x[1:4])
 
     def shown(x: Numbers) -> np.ndarray:
         origin = centre + x[1:4] - about_vertical(x[0]) @ centre
@@ -144,17 +153,15 @@ def _of_truth(view: Compared) -> Iterator[Change]:
     places = [[yaw, *at, 0.0] for at in (0 * away, away, away * [1, 1, 0]) for yaw in np.radians(range(0, 360, 15))]
     delays = [[0.0, 0.0, 0.0, 0.0, delay] for delay in sorted(np.arange(-longest, longest + 0.1, 0.5), key=abs)]
     shifted = "shifted by ({1:.2f}, {2:.2f}, {3:.2f}) m and "
-    cause = (
-        "the truth has another frame than the measurements, or another clock; import it again with --align-truth, or "
-    )
-    cause += "--transform {1:.3f},{2:.3f},{3:.3f},{0:.3f},{4:.3f}"
+    cause = "the truth has another frame than the measurements, or another clock; import it again with --align-truth, "
+    cause += "or --transform {1:.3f},{2:.3f},{3:.3f},{0:.3f},{4:.3f}"
     for how, of, starts, least, free in (
         (shifted, "frame", places[::24], (inf, 0.4, 0.4, 0.4, inf), [1, 2, 3]),
         ("turned by {0:.1f}°, " + shifted, "frame", places, (0.07, inf, inf, inf, inf), [0, 1, 2, 3]),
         ("", "delay", delays, 0.1, [4]),
     ):
-        begun = partial(lambda _, starts: starts, starts=starts)
-        yield Change(f"the truth {how}{{4:.2f}} s later", cause, apply, False, of, begun, least, free, shown)
+        words = f"the truth {how}{{4:.2f}} s later"
+        yield Change(words, cause, apply, False, of, lambda _, x=starts: x, least, free, shown)  # type: ignore[misc]
 
 
 def _moves(view: Compared) -> bool:
@@ -181,12 +188,6 @@ def _exchanged(view: Compared) -> Iterator[Change]:
         words = f"{view.kind.noun}s {listed(ids[moved])} swapped for {listed(ids[order[moved]])}"
         cause = f"the ids of {view.kind.noun}s are mixed up; correct rig.toml or the table"
         yield Change(words, cause, partial(apply, order=order))
-
-
-def about_vertical(yaw: float) -> Float[np.ndarray, "3 3"]:
-    """The matrix of a turn about z, rad."""
-    c, s = float(np.cos(yaw)), float(np.sin(yaw))
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _fitted(view: Compared, change: Change) -> Numbers:
@@ -223,7 +224,7 @@ def check_mistakes(view: Compared, calibrated: bool = False) -> Iterator[CheckRe
     kind, before, limit, named = view.kind, view.sizes(), view.kind.sizes("large", len(view.columns)), False
     large = unknown = np.asarray((before > limit).any(axis=1))
     while unknown.any():
-        found = _found(view, [one for one in changes(view) if one.each or not named], before, unknown, ~large)
+        found = _found(view, [one for one in _changes(view) if one.each or not named], before, unknown, ~large)
         best = min(found, key=lambda one: one.cost, default=None)
         if best is None:
             break
@@ -232,7 +233,11 @@ def check_mistakes(view: Compared, calibrated: bool = False) -> Iterator[CheckRe
         # Heights of fixes are often of no use, or mirrored in the plane of the anchors; their filter makes them late.
         flat = of == "height" or (of == "frame" and np.abs(x[[0, 1, 2, 4]]).max() < 0.4) or (late and x[4] > 0)
         if not (kind.position and flat) and not (calibrated and of == "offset"):
-            yield CheckResult("warning" if late else "error", kind.name, _sentence(view, best))
+            change, numbers, worst = best.change, [best.change.shown(x) for x in best.numbers], best.groups & large
+            words = listed(dict.fromkeys(change.words.format(*x) if len(x) else change.words for x in numbers))
+            cause = change.cause.format(*numbers[0]) if len(numbers[0]) else change.cause
+            what = f"{_errors_of(view, worst, before, change.each)}, and {_typical(view, best.after[worst])}"
+            yield CheckResult("warning" if late else "error", kind.name, f"{what} with {words}: {cause}")
     few = not named and 0 < unknown.sum() <= max(FEW * len(unknown), 1) < len(unknown)
     one, others = (float(np.nanmedian((before / limit)[part])) if few else 0.0 for part in (unknown, ~large))
     if kind.sensors and one > BROKEN * others:
@@ -258,10 +263,8 @@ def _found(
             # A change with which the errors are unknown improves nothing.
             left = np.nan_to_num(other.sizes()[of], nan=1e9)
             fall = np.where(known, np.log(np.maximum(before[of], floor) / np.maximum(left, floor)), 0.0)
-            matters, least = (
-                known & (np.fmax(before[of], left) > limit),
-                FITTED_GAIN if change.each and len(x) else GAIN,
-            )
+            matters = known & (np.fmax(before[of], left) > limit)
+            least = FITTED_GAIN if change.each and len(x) else GAIN
             enough = matters.any() and fall[matters].mean() >= least and (left <= most)[known].mean() >= NEARLY
             mistaken = not len(x) or (np.abs(x) >= change.least).any()
             if enough and mistaken and _share(other) >= min(NEARLY, 0.9 * usual):
@@ -280,15 +283,6 @@ def _share(view: Compared) -> float:
     return float((over <= 1.0).sum() / max(np.isfinite(over).sum(), 1))
 
 
-def _sentence(view: Compared, found: Found) -> str:
-    change, sizes, numbers = found.change, view.sizes(), [found.change.shown(x) for x in found.numbers]
-    large = found.groups & (sizes > view.kind.sizes("large", len(view.columns))).any(axis=1)
-    words = listed(dict.fromkeys(change.words.format(*x) if len(x) else change.words for x in numbers))
-    cause = change.cause.format(*numbers[0]) if len(numbers[0]) else change.cause
-    whose = _errors_of(view, large, sizes, change.each)
-    return f"{whose}, and {_typical(view, found.after[large])} with {words}: {cause}"
-
-
 def _typical(view: Compared, sizes: np.ndarray) -> str:
     """The typical size of the largest errors of groups."""
     unit, factor = view.kind.shown
@@ -300,3 +294,84 @@ def _errors_of(view: Compared, groups: np.ndarray, sizes: np.ndarray, named: boo
     names = [name for name, chosen in zip(view.ids, groups, strict=True) if chosen]
     of = f" of {view.kind.noun}{'s' if len(names) > 1 else ''} {listed(names)}" if named else ""
     return f"errors against truth{of} are typically {_typical(view, sizes[groups])}"
+
+
+class Moments(NamedTuple):
+    """Ranges of M moments, m, NaN of anchors not heard, places of the A anchors, and known heights, else NaN."""
+
+    values: Float[np.ndarray, "M A"]
+    places: Float[np.ndarray, "A 3"]
+    heights: Float[np.ndarray, " M"]
+
+    def errors(self) -> tuple[Float[np.ndarray, "M A"], Float[np.ndarray, " A"]]:
+        """Distances of the ranges from those of the position that fits most of each moment, and the typical ones."""
+        heard, known = np.isfinite(self.values), np.isfinite(self.heights)
+        x = np.repeat(self.places.mean(axis=0)[None], len(heard), axis=0)
+        x[:, 2] = np.where(known, self.heights, self.places[:, 2].min() - 1.0)
+        free = np.where(known[:, None], [1.0, 1.0, 0.0], 1.0)
+        for _ in range(STEPS):
+            away = x[:, None] - self.places
+            distance = np.maximum(np.linalg.norm(away, axis=2), 1e-3)
+            error = np.where(heard, distance - self.values, 0.0)
+            scale = np.maximum(np.nanmedian(np.where(heard, np.abs(error), np.nan), axis=1), 0.05)
+            weight = heard / (1.0 + (error / (2.0 * scale[:, None])) ** 2)
+            slope = away / distance[..., None] * free[:, None]
+            normal = np.einsum("ma,mai,maj->mij", weight, slope, slope) + 0.02 * np.eye(3)
+            x -= np.linalg.solve(normal, np.einsum("ma,ma,mai->mi", weight, error, slope)[..., None])[..., 0]
+        errors = np.where(heard, np.abs(error), np.nan)
+        return errors, np.nan_to_num(known_median(errors))
+
+
+def _moments(rig: Rig, ranges: pl.DataFrame) -> Moments:
+    """Moments of tags in which so many anchors are heard that their ranges can contradict each other."""
+    names, known = [*rig.anchors], {tag: of.height for tag, of in rig.tags.items() if of.height is not None}
+    table = ranges.select("t_s", "range_m", pl.col("tag", "anchor").cast(pl.String)).filter(pl.col("range_m") > 0)
+    step = table.group_by("tag").agg((pl.col("t_s").max() - pl.col("t_s").min()) / pl.len())["t_s"].median()
+    window = min(max(1.5 * len(names) * float(step or 0.0), 0.1), 1.0)  # type: ignore[arg-type]
+    at = table.with_columns(at=(pl.col("t_s") / window).floor())
+    wide = at.pivot("anchor", index=["tag", "at"], values="range_m", aggregate_function="median")
+    silent = pl.DataFrame(schema=dict.fromkeys(names, pl.Float64))
+    values = pl.concat([silent, wide], how="diagonal").select(names).to_numpy()
+    heights = np.array([known.get(tag, np.nan) for tag in wide["tag"]])
+    enough = np.flatnonzero(np.isfinite(values).sum(axis=1) >= np.where(np.isfinite(heights), 2, 3) + SPARE)
+    enough = enough[:: -(-len(enough) // MOMENTS) or 1]
+    return Moments(values[enough], np.stack([*rig.anchors.values()]), heights[enough])
+
+
+def _explanations(given: Moments, names: list[str], typical: np.ndarray) -> Iterator[tuple[str, list[int], Moments]]:
+    """What would explain contradictions: its words, the anchors whose errors it lowers, and the moments with it."""
+    everyone, number = [*range(len(names))], np.arange(len(names))
+    for words, cause, field, factor in _scaled(KINDS["ranges"], ("range_m",)):
+        yield f"with {words}: {cause}", everyone, given._replace(**{field: getattr(given, field) * factor})
+    words = "with other heights of the tags: correct height_m in rig.toml"
+    yield words, everyone, given._replace(heights=np.full(len(given.heights), np.nan))
+    for k, name in enumerate(names):
+        words = f"without anchor {name}: its id, place or unit is wrong, or it is broken"
+        yield words, [k], given._replace(values=np.where(number == k, np.nan, given.values))
+    worst = sorted(np.argsort(-typical)[:MOST_PAIRED].tolist())
+    for i, j in combinations([k for k in worst if typical[k] > CONTRADICTED / 5], 2):
+        order = [{i: j, j: i}.get(k, k) for k in everyone]
+        words = f"with anchors {names[i]} and {names[j]} swapped: their ids are mixed up; correct rig.toml or the table"
+        yield words, [i, j], given._replace(places=given.places[order])
+
+
+def check_contradictions(rig: Rig, ranges: pl.DataFrame) -> Iterator[CheckResult]:
+    """An error for the change with which the ranges agree best; a warning of one anchor that contradicts the others."""
+    names, found = [*rig.anchors], list[tuple[float, Level, str]]()
+    if len(names) < 2 + SPARE or len((given := _moments(rig, ranges)).values) < 5:
+        return
+    _, typical = given.errors()
+    large, heard = typical > CONTRADICTED, np.isfinite(given.values)
+    if not large.any():
+        return
+    for words, of, changed in _explanations(given, names, typical):
+        (after, left), alone = changed.errors(), words.startswith("without")
+        was, most = typical[of].max(), (left if alone else left[of]).max()
+        if was > CONTRADICTED and most < was / FALL and np.mean(after[np.isfinite(after)] > CONTRADICTED) < FEW_LEFT:
+            # A range without its anchor remains unexplained.
+            cost = float(np.mean(np.log(np.where(np.isfinite(after), after, CONTRADICTED)[heard] + 0.05)))
+            message = f"contradict each other by {was:.2g} m, and by {most:.2g} m {words}"
+            found.append((cost, "warning" if alone else "error", message))
+    unexplained = f"of {listed(compress(names, large))} contradict others of the same moment by {typical.max():.2g} m"
+    _, level, message = min(found, default=(0.0, "warning", unexplained))
+    yield CheckResult(level, "ranges", message)

@@ -1,80 +1,24 @@
-"""Readings of a table as arrays, by stream and beside true positions, and a robust fit."""
+"""Readings of a table beside true positions, and a robust fit."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from trackwright.trackers.recordings.columns import TruePaths, stable_order, within_groups
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors, wrapped
+from trackwright.trackers.recordings.kinds import KINDS, Kind, Sensors
 
-# Most rows of a table and differences of a column; most and least readings of a sensor compared.
-MOST_ROWS, MOST_DIFFERENCES, MOST_OF_GROUP, LEAST_OF_GROUP = 100_000, 20_000, 500, 12
-# Least pairs that tell of repeats, and the share that is a warning; differences that tell a quantisation step, share of
-# these that are multiples, and distance from one in steps: one in 25 continuous values is as near.
-LEAST_PAIRS, MANY, LEAST_VALUES, MULTIPLES, NEAR = 50, 0.2, 20, 0.95, 0.02
-QUANTILES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3)
-
-
-class Readings(NamedTuple):
-    """The values (N, m) of columns, NaN where one is missing, one stream (N,) of a tag and a sensor after another."""
-
-    columns: tuple[str, ...]
-    stream: Int[np.ndarray, " N"]
-    values: Float[np.ndarray, "N m"]
-
-
-def readings(recording: RecordingFolder, name: str) -> Readings:
-    """The readings of a table; of more than `MOST_ROWS`, equally many first ones of each stream."""
-    rows = recording.rows(name)
-    measured, stream = KINDS[name].measured(recording.rig, rows), rows.of_each(np.arange(len(rows.tags)))
-    for number in measured.sensors.number.T:
-        stream = stream * len(measured.ids) + number
-    order = stable_order(stream)
-    if len(order) > MOST_ROWS:
-        counts = np.bincount(stream)
-        order = order[within_groups(counts) < MOST_ROWS // np.count_nonzero(counts)]
-    return Readings(measured.columns, stream[order], measured.values[order])
+MOST_OF_GROUP, LEAST_OF_GROUP = 500, 12  # readings of a sensor that are compared
 
 
 def known_median(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
     """The median (m,) of each column without its missing values, NaN without any value."""
     return np.array([np.median(c[~np.isnan(c)]) if not np.isnan(c).all() else np.nan for c in x.T])
-
-
-def changes(read: Readings) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, "n m"]]:
-    """Of each reading but the first: whether it follows one in its stream, and the change; infinite where one lacks."""
-    seen = np.isfinite(read.values).any(axis=1)
-    values, stream = read.values[seen], read.stream[seen]
-    missing = np.isnan(values)
-    moved = np.where(missing[1:] & missing[:-1], 0.0, wrapped(np.diff(values, axis=0), read.columns))
-    return stream[1:] == stream[:-1], np.where(np.isnan(moved), np.inf, moved)
-
-
-def repeated_share(read: Readings) -> float:
-    """The share of the readings with a predecessor in their stream that equal it in all columns; NaN without any."""
-    follows, moved = changes(read)
-    return float(np.mean((moved[follows] == 0.0).all(axis=1))) if follows.any() else float("nan")
-
-
-def quantisation_step(read: Readings, column: int) -> float | None:
-    """The quantisation step of a column, in its unit; None where its changes are not multiples of one."""
-    follows, moved = changes(read)
-    x = np.abs(moved[:MOST_DIFFERENCES, column][follows[:MOST_DIFFERENCES]])
-    x = x[np.isfinite(x) & (x > 1e-12 * (1.0 + np.nanmax(np.abs(read.values[:, column]), initial=0.0)))]
-    # The coarsest first: a few values off the steps, as means of two, are multiples of half a step.
-    for candidate in np.unique(np.quantile(x, QUANTILES, method="lower"))[::-1] if len(x) >= LEAST_VALUES else ():
-        multiples = np.round(x / candidate)
-        good = (np.abs(x / candidate - multiples) < NEAR) & (multiples > 0)
-        if good.mean() >= MULTIPLES:
-            return float(x[good].sum() / multiples[good].sum())
-    return None
 
 
 class Compared(NamedTuple):
@@ -115,6 +59,10 @@ class Compared(NamedTuple):
         starts = np.concatenate([[0], np.flatnonzero(np.diff(self.tag)) + 1, [len(self.tag)]])
         positions, _ = self.paths.at([self.tags[k] for k in self.tag[starts[:-1]]], starts, self.times - delay)
         return self._replace(positions=positions)
+
+    def turned(self, yaw: float, centre: Float[np.ndarray, " 3"], to: Float[np.ndarray, " 3"]) -> Compared:
+        """The readings beside the true positions turned about the vertical at `centre`, which goes `to` a place."""
+        return self._replace(positions=to + (self.positions - centre) @ about_vertical(yaw).T)
 
     def errors(self) -> Float[np.ndarray, "N m"]:
         """The differences from the values that the positions imply: see `Kind.errors`."""
@@ -160,9 +108,10 @@ def compared(recording: RecordingFolder, table: str) -> Compared | None:
     return view if len(view.group) else None
 
 
-def derivatives(errors: Callable[[np.ndarray], np.ndarray], x: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """The derivatives (…, k) of errors (…) by each of the numbers `x` (k,), where they are `there`."""
-    return np.stack([(errors(x + 1e-6 * unit) - there) / 1e-6 for unit in np.eye(len(x))], axis=-1)
+def about_vertical(yaw: float) -> Float[np.ndarray, "3 3"]:
+    """The matrix of a turn about z, rad."""
+    c, s = float(np.cos(yaw)), float(np.sin(yaw))
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def robust_fit(
@@ -172,11 +121,12 @@ def robust_fit(
     from scipy.optimize import least_squares
 
     flat, x = lambda x: errors(x).ravel(), np.asarray(start, float)
+    near = 1e-6 * np.eye(len(x))
     # Where one of the two errors is unknown, as at the first time of the truth, there is no difference.
-    slopes = lambda x: np.nan_to_num(derivatives(flat, x, flat(x)))  # noqa: E731
+    slopes = lambda x: np.nan_to_num(np.stack([flat(x + by) for by in near], axis=-1) - flat(x)[:, None]) / 1e-6  # noqa: E731
     for _ in range(3):
         scale = max(1.4826 * float(np.median(np.abs(np.nan_to_num(flat(x))))), 1e-9)
         # An error that becomes unknown is no gain.
-        known = partial(lambda x, far: np.nan_to_num(flat(x), nan=far), far=3.0 * scale)
+        known = lambda x, far=3.0 * scale: np.nan_to_num(flat(x), nan=far)  # noqa: E731
         x = least_squares(known, x, slopes, loss="cauchy", f_scale=scale, max_nfev=steps).x
     return x, float(np.median(np.abs(np.nan_to_num(flat(x)))))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -13,12 +14,11 @@ import polars as pl
 from trackwright.trackers.core.data.seconds import UNIX_S, span
 from trackwright.trackers.core.errors import listed, significant
 from trackwright.trackers.core.model.rig import SAY_SIDE, THIN, Rig
-from trackwright.trackers.recordings.checks import CheckResult, Level
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.kinds import KINDS, Kind, table_kinds
 
+Level = Literal["error", "warning", "info"]
 Tables = Mapping[str, pl.DataFrame]
-Results = Iterator[CheckResult]
 C, DT, T, X, SIZE, BOUND = pl.col, pl.col("dt"), pl.col("t_s"), pl.col("x"), pl.col("x").abs(), pl.col("bound")
 # A step that is a jump of the clock and no gap, a year, s; reach of indoor radio, m; by how much heights are off by a
 # mistake, m; rows that cannot all have one time.
@@ -26,6 +26,18 @@ JUMP_S, YEAR_S, FAR_M, OFF_M, LEAST_STAMPS = 1e7, 31_557_600.0, 500.0, 0.5, 10
 # Least jumps of outliers by unit, and sizes of gravity.
 LEAST_JUMP = {"m": 1.0, "mps": 10.0, "mps2": 40.0, "radps": 10.0}
 GRAVITY_IN = {9.81: "m/s²", 1.0: "multiples of g", 32.2: "ft/s²", 1e3: "thousandths of g or cm/s²", 9.81e3: "mm/s²"}
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """One result, of a table, file or column: an `error` makes tracks fail or wrong, a `warning` is an anomaly."""
+
+    level: Level
+    where: str
+    message: str
+
+
+Results = Iterator[CheckResult]
 
 
 class Rule(NamedTuple):
@@ -257,10 +269,8 @@ def check_heights(rig: Rig, truth: pl.DataFrame) -> Results:
 
 def check_geometry(rig: Rig, tables: Tables) -> Results:
     """What the places of the sensors that are observed leave undetermined."""
-    known, kinds = (
-        bool(rig.tags) and all(tag.height is not None for tag in rig.tags.values()),
-        [KINDS[n] for n in tables],
-    )
+    known = bool(rig.tags) and all(tag.height is not None for tag in rig.tags.values())
+    kinds = [KINDS[name] for name in tables]
     for noun in ("anchor", "station"):
         of = next((kind for kind in (*kinds, KINDS["ranges"]) if kind.noun == noun), KINDS["bearings"])
         fixes = noun == "anchor" and "fixes" in tables and of not in kinds

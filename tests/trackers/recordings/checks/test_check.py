@@ -13,9 +13,9 @@ import pytest
 from tests.broken import ANOMALOUS
 from tests.trackers.recordings.checks.made import good, hall, only, with_anchors, with_columns, with_rows
 from trackwright.trackers.exchange.importing import placed
-from trackwright.trackers.recordings.checks import CheckResult
 from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.checks.readings import robust_fit
+from trackwright.trackers.recordings.checks.rules import CheckResult
 from trackwright.trackers.recordings.folder import read_recording
 
 RECORDINGS = Path(

@@ -23,8 +23,7 @@ from tests.trackers.recordings.checks.made import (
     with_rows,
 )
 from trackwright.trackers.core.model.rig import Tag
-from trackwright.trackers.recordings.checks import format_results
-from trackwright.trackers.recordings.checks.all_checks import check, quick_check
+from trackwright.trackers.recordings.checks.all_checks import check, format_results, quick_check
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 C, T, X, Y, Z = pl.col, *(pl.col(name) for name in ("t_s", "x_m", "y_m", "z_m"))

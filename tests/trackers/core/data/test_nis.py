@@ -9,11 +9,11 @@ import pytest
 from tests.tuning.worlds import Gauge, line_tracker
 from trackwright.trackers.aoa.fusion import bearing_tracker
 from trackwright.trackers.baselines.fixes import MovingWindow, fix_tracker
+from trackwright.trackers.core.data.consistency import nis_band, nis_quantile, student_t_dof_of
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.mhk.tracker import mhk_tracker
-from trackwright.tuning.diagnostics import nis_band, nis_quantile, student_t_dof_of
 
 
 @pytest.mark.parametrize(("nu", "skew"), [(None, 1.0), (1.8, 4.0), (4.0, 1.0)])
@@ -38,13 +38,13 @@ def test_a_quantile_is_that_of_rows_with_the_noise(nu):
 
 
 def test_what_makes_the_nis_says_its_tail():
-    assert float(student_t_dof_of(bearing_tracker(4, dof=5.0))) == pytest.approx(5.0)
-    assert student_t_dof_of(line_tracker()) is None
-    assert float(student_t_dof_of(fix_tracker(dof=7.0))) == pytest.approx(7.0)
+    assert float(student_t_dof_of(bearing_tracker(4, dof=5.0).nis_sensors)) == pytest.approx(5.0)
+    assert student_t_dof_of(line_tracker().nis_sensors) is None
+    assert float(student_t_dof_of(fix_tracker(dof=7.0).nis_sensors)) == pytest.approx(7.0)
     # the NIS of a smoothed tracker is its filter's, and that of MH-K is its fusion's
-    assert float(student_t_dof_of(Smoothed(fix_tracker(dof=7.0)))) == pytest.approx(7.0)
-    assert student_t_dof_of(mhk_tracker()) is None
-    assert student_t_dof_of(MovingWindow(5, False)) is None
+    assert float(student_t_dof_of(Smoothed(fix_tracker(dof=7.0)).nis_sensors)) == pytest.approx(7.0)
+    assert student_t_dof_of(mhk_tracker().nis_sensors) is None
+    assert student_t_dof_of(MovingWindow(5, False).nis_sensors) is None
 
 
 class Heavy(Gauge):
@@ -61,7 +61,7 @@ def test_the_degrees_of_freedom_are_those_of_the_residuals_whatever_the_field_is
     gauge = whole.sensors["gauge"]
     heavy = Heavy(gauge.sigma, gauge.offset, gauge.bias)
     own = Tracker(whole.motion, {"gauge": heavy}, whole.start, track_loss=whole.track_loss)
-    assert float(student_t_dof_of(own)) == pytest.approx(6.0)
+    assert float(student_t_dof_of(own.nis_sensors)) == pytest.approx(6.0)
     both = Tracker(whole.motion, {"gauge": heavy, "other": gauge}, whole.start, track_loss=whole.track_loss)
     with pytest.raises(ValueError, match="2 sensors, 1 of them with Student's t"):
-        student_t_dof_of(both)
+        student_t_dof_of(both.nis_sensors)

@@ -14,9 +14,8 @@ import pytest
 
 from tests.faulty import RIG, write_good
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.recordings.atomic import atomic_write, json_text
+from trackwright.trackers.recordings.files import atomic_write, json_text, read_arrays, read_toml
 from trackwright.trackers.recordings.folder import read_recording
-from trackwright.trackers.recordings.input_file import read_arrays, read_toml
 from trackwright.trackers.recordings.tracks_table import require_output
 
 
