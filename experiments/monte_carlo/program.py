@@ -17,10 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from trackwright.experiments.monte_carlo.tracked import BINS, bins
+from trackwright.experiments.monte_carlo.scores import arrays_of, cells, sums
 from trackwright.sim.keys import keys_of, trajectory_keys
 from trackwright.sim.tables import AbstractDraw, SimulatedTables, as_numpy
-from trackwright.trackers.core.data.consistency import chi_square_quantile, eliminated
 from trackwright.trackers.core.data.estimates import Status, is_usable
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.algebra import triangle
@@ -29,8 +28,6 @@ from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.evaluation.metrics import LEVELS
-from trackwright.trackers.evaluation.rows import ANGLES, AXES, bearing_sizes, position_sizes
 from trackwright.trackers.programs.traced_programs import Program, compiled_program, kept_program
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import TrackerBatch
@@ -46,6 +43,14 @@ TICKS = 2**30
 
 class UnfitError(Exception):
     """A tracker's rows that do not follow from a world's arrays number by number."""
+
+
+class Scores(NamedTuple):
+    """The sums and largest errors of n trajectories by name and kind, and the cells of their rows in histograms."""
+
+    sums: dict[str, Array]
+    tops: dict[str, Array]
+    cells: dict[str, Array]
 
 
 class Rows(eqx.Module):
@@ -120,54 +125,27 @@ class Rows(eqx.Module):
             each.append(angles_in_array(jnp.stack([sum(a * m for a, m in zip(away, c, strict=True)) for c in columns])))
         return jnp.concatenate(each, axis=1)
 
-    def scored(self, output: tuple[Array, ...], truth: Float[Array, "R B axes"]) -> dict[str, Array]:
-        """The sums of the terms of each of the n trajectories, their largest errors, and the rows' cells."""
+    def scored(self, output: tuple[Array, ...], truth: Float[Array, "R B axes"]) -> Scores:
+        """The scores of the n trajectories."""
         *moments, nis, dof, status = output
         axes = {2: 1, 5: 2, 9: 3}[len(moments)]
-        E = jnp.stack(moments[:axes], axis=-1)
-        P = dict(zip(triangle(axes), moments[axes:], strict=True))
-        there, known = status != Status.PADDING, self._known(status, jnp.isfinite(E[..., :2]).all(axis=-1))
-        if self.stations:
-            (errors, sizes), names = bearing_sizes(E, truth), [*ANGLES]
-        else:
-            if axes < 3:
-                height = jnp.repeat(self.heights, E.shape[1] // len(self.heights))
-                E = jnp.concatenate([E, jnp.broadcast_to(height[:, None], (*E.shape[:2], 1))], axis=-1)
-            errors, names = E - truth, [*AXES]
-            sizes = position_sizes(errors)
+        estimates, sequences = jnp.stack(moments[:axes], axis=-1), len(self.heights)
+        known = self._known(status, jnp.isfinite(estimates[..., :2]).all(axis=-1))
+        if axes < truth.shape[-1]:
+            height = jnp.repeat(self.heights, nis.shape[1] // sequences)[:, None]
+            estimates = jnp.concatenate([estimates, jnp.broadcast_to(height, (*nis.shape, 1))], axis=-1)
 
         def total(x: Array) -> Array:
-            return x.sum(axis=0, dtype=nis.dtype).reshape(len(self.heights), -1).sum(axis=0)
+            return x.sum(axis=0, dtype=nis.dtype).reshape(sequences, -1).sum(axis=0)
 
-        def of_known(x: Array) -> Array:
-            return total(jnp.where(known, x, 0.0))
-
-        sums = {"n_rows": total(there), "n": total(known), "lost rows": total(status == Status.LOST)}
-        drawn: dict[str, Array] = {}
-        for kind, size in sizes.items():
-            counted = known & ~jnp.isnan(size)
-            sums |= {f"n {kind}": total(counted), f"sum {kind}": total(jnp.where(counted, size, 0.0))}
-            sums[f"squares {kind}"] = total(jnp.where(counted, size**2, 0.0))
-            if axes < 3 and kind == "3d_m":
-                drawn |= {name.replace(" m", f" {kind}"): x for name, x in drawn.items()}
-            else:
-                drawn |= self._spread(kind, jnp.where(counted, size, -1.0))
-        sums |= {f"bias {name}": of_known(errors[..., k]) for k, name in enumerate(names)}
-        values, so_far = [], 0.0
-        for reduced, pivot in eliminated(errors[..., :axes], P):
-            values.append(so_far := so_far + reduced**2 / pivot)
-        for name, value, d in zip(("nees", "nees_3d"), values[1:], (2, 3), strict=False):
-            finite = known & jnp.isfinite(value)
-            sums |= {f"n {name}": total(finite), f"sum {name}": total(jnp.where(finite, value, 0.0))}
-            for p in LEVELS:
-                sums[f"inside {p} {name}"] = total(known & (value <= chi_square_quantile(p / 100, d)))
-            sums[f"judged {name}"] = total(known & ~jnp.isnan(value))
-        counted = there & jnp.isfinite(nis) & (dof > 0)
-        sums |= {"nis": total(jnp.where(counted, nis, 0.0)), "dof": total(jnp.where(counted, dof, 0.0))}
-        failed, lost = total(status == Status.NON_FINITE), total(status == Status.RESTARTED)
-        sums |= {"n nis": total(counted), "diverged": (failed + lost + sums["lost rows"]) > 0}
-        sums |= {"failed": (failed > 0) | (sums["n"] == 0), "trajectories": jnp.ones_like(failed)}
-        return {f"sum {name}": x for name, x in sums.items()} | drawn
+        entries = dict(zip(triangle(axes), moments[axes:], strict=True))
+        found, sizes = sums(estimates, truth, entries, known, (status, nis, dof), total)
+        if axes < truth.shape[-1]:
+            sizes["3d_m"] = sizes["m"]
+        rows = {kind: size.reshape(len(size), sequences, -1) for kind, size in sizes.items()}
+        n = nis.shape[1] // sequences
+        of_rows = {kind: cells(size, jnp.arange(n, dtype=jnp.int32), n) for kind, size in rows.items()}
+        return Scores(found, {kind: size.max(axis=(0, 1)) for kind, size in rows.items()}, of_rows)
 
     def _known(self, status: Int[Array, "R B"], finite: Bool[Array, "R B"]) -> Bool[Array, "R B"]:
         """The rows that are scored: the last of each time, of those with an estimate the last of each interval."""
@@ -183,16 +161,6 @@ class Rows(eqx.Module):
         usable &= last(status != Status.PADDING, self.group) & (failed[self.group] <= 0)
         return last(usable & finite, self.interval)
 
-    def _spread(self, kind: str, size: Float[Array, "R B"]) -> dict[str, Array]:
-        """The largest size of each trajectory, −1 for none, and the cell of each row in one histogram (n, BINS).
-
-        Negative sizes fall in a cell beyond the last. The caller counts: a scatter takes longer than the filter.
-        """
-        by_drawn = size.reshape(len(size), len(self.heights), -1)
-        n = by_drawn.shape[-1]
-        cell = jnp.where(by_drawn >= 0, bins(by_drawn) + BINS * jnp.arange(n, dtype=jnp.int32), n * BINS)
-        return {f"largest {kind}": by_drawn.max(axis=(0, 1)), f"cells {kind}": cell}
-
 
 def _flat(arrays: list[Array]) -> Array:
     """The numbers of arrays (n, …) as (numbers, n), in memory: XLA would draw them anew in the order of their use."""
@@ -206,8 +174,8 @@ class Part(NamedTuple):
     ids: UInt32[np.ndarray, " n"]
 
 
-def chunk_sums(model: tuple[AbstractDraw, AbstractTracker, Rows], part: Part) -> dict[str, Array]:
-    """The sums and largest errors of trajectories, and their rows' cells; differentiable by the model's numbers."""
+def chunk_scores(model: tuple[AbstractDraw, AbstractTracker, Rows], part: Part) -> Scores:
+    """The scores of the trajectories of a part, differentiable by the numbers of the model."""
     draw, tracker, rows = model
     arrays = draw(keys_of(part.key, part.ids))
     with as_numpy():
@@ -240,13 +208,7 @@ class ChunkProgram(NamedTuple):
 
     def run(self, part: Part) -> dict[str, np.ndarray]:
         """The arrays of a chunk, as of `tracked.scored`."""
-        arrays = {name: np.asarray(x) for name, x in self.program(self.model, part).items()}
-        for name in [name for name in arrays if name.startswith("cells")]:
-            counts = np.bincount(arrays[name].ravel(), minlength=len(part.ids) * BINS)[: len(part.ids) * BINS]
-            arrays[name] = np.flatnonzero(counts)
-            arrays[name.replace("cells", "counts")] = counts[arrays[name]]
-        tops = {name: np.where(x < 0, np.nan, x) for name, x in arrays.items() if name.startswith("largest")}
-        return {name: x.astype(float) if name.startswith("sum") else x for name, x in (arrays | tops).items()}
+        return arrays_of(*self.program(self.model, part))
 
 
 def part_of(seed: int, ids: np.ndarray) -> Part:
@@ -286,7 +248,7 @@ _programs: dict[bytes, Program] = {}
 
 def _program(model: Any, part: Part) -> Program:
     """The program of a model of these shapes: conditions that differ in numbers alone share it."""
-    program = kept_program(chunk_sums, model, part, OPTIONS)
+    program = kept_program(chunk_scores, model, part, OPTIONS)
     if program is not None:
         return program
     leaves, structure = jax.tree_util.tree_flatten((model, part))
@@ -294,9 +256,9 @@ def _program(model: Any, part: Part) -> Program:
     try:
         key = pickle.dumps((jax.tree_util.tree_unflatten(structure, kinds), jax.config.jax_enable_x64))  # type: ignore[attr-defined]
     except (pickle.PicklingError, TypeError, AttributeError):
-        return compiled_program(chunk_sums, model, part, OPTIONS)
+        return compiled_program(chunk_scores, model, part, OPTIONS)
     if key not in _programs:
-        _programs[key] = compiled_program(chunk_sums, model, part, OPTIONS)
+        _programs[key] = compiled_program(chunk_scores, model, part, OPTIONS)
     return _programs[key]
 
 
