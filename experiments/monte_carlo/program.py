@@ -1,8 +1,9 @@
 """A chunk of a study as one program: its trajectories are drawn, tracked and scored without leaving the device.
 
 Where each number of a tracker's rows comes from is found by two trajectories of the world with all readings there: a
-reading is the drawn number that it equals in both. A tracker whose rows hold anything else that depends on the
-readings, as the position from which trackers of ranges start, has no such program: `chunk.py` runs it on recordings.
+reading is the drawn number that it equals in both; a third one, with some missing, must follow by the same rule. A
+tracker whose rows hold anything else that depends on the readings, as the position from which trackers of ranges start,
+has no such program: `chunk.py` runs it on recordings.
 """
 
 from __future__ import annotations
@@ -34,8 +35,7 @@ from trackwright.trackers.recordings.tracks import TrackerBatch
 from trackwright.trackers.recordings.trajectories import Trajectories
 
 SEEN = 0.7
-"""Share of times, and of their readings, that are there in the third of the trajectories by which rows are understood.
-"""
+"""Share of the times, and of the readings then, that are there in the third of the trajectories that are compared."""
 
 PIECE = 256
 """Most trajectories that are drawn and tracked together."""
@@ -311,8 +311,8 @@ def _rows(draw: AbstractDraw, probes: list[_Probe], every: float | None) -> Rows
     if not ((times == times[0]).all() and (of_second == times[0]).all()):
         raise UnfitError("trajectories have different times")
     truth = np.minimum(np.searchsorted(draw.times, times[0] - 1e-9), len(draw.times) - 1)
-    true = _positions(first)
-    if np.abs(draw.times[truth] - times[0]).max() > 1e-9 or not true[1].all():
+    true, known = first.truth["direction" if "direction" in first.truth else "position"]
+    if np.abs(draw.times[truth] - times[0]).max() > 1e-9 or not known.all():
         raise UnfitError("rows lie between the times of the truth")
     places, there, reported = {}, {}, {}
     for name, readings in first.readings.items():
@@ -332,31 +332,16 @@ def _rows(draw: AbstractDraw, probes: list[_Probe], every: float | None) -> Rows
         raise UnfitError("the height of a planar estimate is unknown")
     stations = tuple(folder.rig.stations[name] for name in probes[0].trajectories.stations if name)
     regular = _check(places, there, inputs, probes[2], draw)
-    truth_height, differ = float(true[0][0, -1]), len(set(group.tolist())) == len(group)
+    truth_height, differ = float(true[0, -1]), len(set(group.tolist())) == len(group)
     number, tick = interval.astype(np.int32), (span or 1.0) / TICKS
-    return Rows(
-        places,
-        there,
-        reported,
-        inputs,
-        ticks,
-        tick,
-        group,
-        number,
-        truth,
-        heights,
-        truth_height,
-        stations,
-        differ,
-        regular,
-    )
+    of_times = ticks, tick, group, number, truth
+    return Rows(places, there, reported, inputs, *of_times, heights, truth_height, stations, differ, regular)
 
 
 def _check(places: Any, there: Any, inputs: Any, probe: _Probe, draw: AbstractDraw) -> bool:
     """Whether rows without a reading are there; raises UnfitError unless a probe with some follows like the others."""
-    flat = [
-        np.concatenate([probe.arrays[x].ravel() for x in names]) for names in zip(*draw.measured.items(), strict=True)
-    ]
+    pairs = zip(*draw.measured.items(), strict=True)
+    flat = [np.concatenate([probe.arrays[name].ravel() for name in names]) for names in pairs]
     seen = {name: flat[1][place] & there[name] for name, place in places.items()}
     valid, columns = np.any(np.concatenate([*seen.values()], axis=2), axis=2), probe.trajectories.columns
     valid |= (regular := len(columns.times) == valid.size)
@@ -369,12 +354,6 @@ def _check(places: Any, there: Any, inputs: Any, probe: _Probe, draw: AbstractDr
     if not all(alike):
         raise UnfitError("a row depends on other readings than its own")
     return regular
-
-
-def _positions(columns: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The true positions or directions of rows, and where they are known."""
-    values, known = columns.truth["direction" if "direction" in columns.truth else "position"]
-    return values, known
 
 
 def _places(first: np.ndarray, second: np.ndarray, seen: np.ndarray, numbers: list[np.ndarray]) -> np.ndarray:

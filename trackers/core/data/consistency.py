@@ -39,27 +39,15 @@ class Consistency(NamedTuple):
 
 def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
     """NEES eᵀP⁻¹e of each row; NaN where P is not positive definite."""
-    return nees_of_leading(errors, upper_entries(covs))[-1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        parts = [reduced**2 / pivot for reduced, pivot in eliminated(errors, upper_entries(covs))]
+    return np.sum(parts, axis=0)
 
 
 def upper_entries(covs: Covariances) -> Entries:
     """The entries (N,) of covariances by row and column, from the upper triangle."""
     d = covs.shape[-1]
     return {(i, j): covs[:, i, j] for i in range(d) for j in range(i, d)}
-
-
-def nees_of_leading(errors: Errors, upper: Entries) -> list[Float[np.ndarray, " N"]]:
-    """NEES of the first axis, of the first two, … and of all d; NaN where their part of P is not positive definite.
-
-    `upper`: the `upper_entries` of P. Elimination over the d columns, for all rows at once: a singular P affects its
-    row alone.
-    """
-    values: list[np.ndarray] = []
-    with np.errstate(over="ignore", invalid="ignore"):
-        for reduced, pivot in eliminated(errors, upper):
-            value = reduced**2 / pivot
-            values.append(values[-1] + value if values else value)
-    return values
 
 
 def eliminated(errors: Errors, upper: Entries) -> list[tuple[Float[Any, "*rows"], Float[Any, "*rows"]]]:
