@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from trackwright.sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
 from trackwright.sim.keys import Keys, namespace, repeated, stream, trajectory_keys, uniforms
-from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
+from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, SimulatedWorld, by_name, fixed
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -69,41 +68,26 @@ def piecewise_linear(x: Any, knots: Any, values: Float[np.ndarray, " k"]) -> Any
     return values[0] + sum(ramps)
 
 
-@dataclass(frozen=True)
-class SimulatedLine:
-    """Fixes of n tags at T times with their truth: m and s; `ids`: the trajectory ids; `draw`: what drew them."""
-
-    times: Float[np.ndarray, " T"]
-    arclength: Float[np.ndarray, "n T"]
-    positions: Float[np.ndarray, "n T 2"]
-    fixes: Float[np.ndarray, "n T 2"]
-    seen: Bool[np.ndarray, "n T 2"]
-    knots: Float[np.ndarray, "k 2"]
-    ids: Int[np.ndarray, " n"]
-    draw: LineDraw
-
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder: fixes without height, truth at the tags' known height, the rig's path."""
-        fixes = self.fixes if self.seen.all() else np.where(self.seen, self.fixes, np.nan)
-        tables = {}
-        for table, floor, height in (("fixes", fixes, np.nan), ("truth", self.positions, TAG_HEIGHT)):
-            values = np.empty((*floor.shape[:2], 3))
-            values[..., :2], values[..., 2] = floor, height
-            tables[table] = ArrayRows.regular(self.times, self.ids, {AXES: values})
-        tags = {str(i): Tag(height=TAG_HEIGHT) for i in self.ids}
-        return folder_of(name, tables, tags, self.draw, path_knots=self.knots)
+def _corners(knots: Any) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, np.asarray(knots, float).tolist()))
 
 
 class LineDraw(AbstractDraw):
-    """Tags that travel the path: see `simulate_line`. `knots`: the corners (x, y) of the path, m."""
+    """Tags that travel the path once, at rest for `rest_s` s before and after, with fixes at `rate_hz`.
 
-    errors: tuple[tuple[str, Corruption], ...]
-    situation: str = eqx.field(static=True)
-    knots: tuple[tuple[float, ...], ...] = eqx.field(static=True)
-    speed: float = eqx.field(static=True)
-    rest_s: float = eqx.field(static=True)
-    rate_hz: float = eqx.field(static=True)
-    carried_off: tuple[float, float, tuple[float, ...]] | None = eqx.field(static=True)
+    `situation`: a name of `SITUATIONS`. `errors`: corruptions of the fixes by name, in order. `knots` (k, 2): the
+    corners of the path, m. `carried_off`: start and end, s, of the time that the tag spends off the line, and its
+    offset then, (dx, dy) m. Its arrays: `arclength` (n, T) m; `positions`, `fixes` (n, T, 2) m, where `seen`. The
+    thesis prints neither speeds nor rate.
+    """
+
+    situation: str = fixed("constant")
+    errors: Mapping[str, Corruption] = by_name(FIX_ERRORS)
+    knots: tuple[tuple[float, ...], ...] = eqx.field(static=True, converter=_corners, default=_corners(THESIS_KNOTS))
+    speed: float = fixed(0.3)
+    rest_s: float = fixed(10.0)
+    rate_hz: float = fixed(5.0)
+    carried_off: tuple[float, float, tuple[float, float]] | None = fixed(None)
 
     measured = MappingProxyType({"fixes": "seen"})
 
@@ -134,31 +118,14 @@ class LineDraw(AbstractDraw):
             positions = positions + np.where(away[:, None], np.asarray(offset, float), 0.0)
         if len(ends) == 1:
             arclength, positions = repeated(arclength, keys), repeated(positions, keys)
-        fixes, seen = corrupted(self.errors, keys, times, positions, np.ones(positions.shape, bool))
+        fixes, seen = corrupted(self.errors.items(), keys, times, positions, np.ones(positions.shape, bool))
         return {"arclength": arclength, "positions": positions, "fixes": fixes, "seen": seen}
 
-    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedLine:
-        return SimulatedLine(self.times, **arrays, knots=np.array(self.knots), ids=ids, draw=self)
-
-
-def simulate_line(
-    situation: str = "constant",
-    n: int | Sequence[int] | np.ndarray = 1,
-    seed: int = 0,
-    *,
-    knots: Float[np.ndarray, "k 2"] = THESIS_KNOTS,
-    speed: float = 0.3,
-    rest_s: float = 10.0,
-    rate_hz: float = 5.0,
-    errors: Mapping[str, Corruption] = FIX_ERRORS,
-    carried_off: tuple[float, float, Sequence[float]] | None = None,
-) -> SimulatedLine:
-    """Tags that travel the path once, at rest for `rest_s` s before and after, with fixes at `rate_hz`.
-
-    `n`: number of trajectories, or their ids. `errors`: corruptions of the fixes by name, in order. `carried_off`:
-    start and end, s, of the time that the tag spends off the line, and its offset then, (dx, dy) m. The thesis prints
-    neither speeds nor rate.
-    """
-    corners = tuple(map(tuple, np.asarray(knots, float).tolist()))
-    away = None if carried_off is None else (*carried_off[:2], tuple(carried_off[2]))
-    return LineDraw(tuple(errors.items()), situation, corners, speed, rest_s, rate_hz, away).drawn(n, seed)
+    def folder(self, world: SimulatedWorld) -> RecordingFolder:
+        """Fixes without height, truth at the tags' known height, the rig's path."""
+        fixes, tables = np.where(world.seen, world.arrays["fixes"], np.nan), {}
+        for table, floor, height in (("fixes", fixes, np.nan), ("truth", world.positions, TAG_HEIGHT)):
+            values = np.concatenate([floor, np.full_like(floor[..., :1], height)], axis=-1)
+            tables[table] = ArrayRows(world.times, world.ids, {AXES: values})
+        tags = {str(i): Tag(height=TAG_HEIGHT) for i in world.ids}
+        return world.recorded(tables, tags, path_knots=np.array(self.knots))
