@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from trackwright.sim.corruptions import Corruption, correlated_noise, corrupted, gauss_markov, outliers
 from trackwright.sim.keys import Keys, namespace, stream, uniforms
-from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, SimulatedWorld, by_name, fixed
+from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -90,10 +90,10 @@ class VehicleDraw(AbstractDraw):
     (n, T, 3) m, where `seen`. Raises ValueError for a speed or corners beyond the limits of the paper's vehicle.
     """
 
-    errors: Mapping[str, Corruption] = by_name(FIX_ERRORS)
-    route: Route = fixed(Route())
-    speed: float = fixed(0.5)
-    rows: int = fixed(2000)
+    errors: Mapping[str, Corruption] = by_name(default_factory=lambda: FIX_ERRORS)
+    route: Route = static(default=Route())
+    speed: float = static(default=0.5)
+    rows: int = static(default=2000)
 
     measured = MappingProxyType({"fixes": "seen"})
 
@@ -114,7 +114,7 @@ class VehicleDraw(AbstractDraw):
         floor = self.route.at(start + covered)
         xp = namespace(floor)
         positions = xp.concatenate([floor, xp.full_like(floor[..., :1], TAG_HEIGHT)], axis=-1)
-        fixes, seen = corrupted(self.errors.items(), keys, times, positions, np.ones(positions.shape, bool))
+        fixes, seen = corrupted(self.errors, keys, times, positions)
         return {"positions": positions, "fixes": fixes, "seen": seen}
 
     def folder(self, world: SimulatedWorld) -> RecordingFolder:
@@ -123,5 +123,4 @@ class VehicleDraw(AbstractDraw):
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
         anchors = {str(k + 1): np.array([*c, ANCHOR_HEIGHT]) for k, c in enumerate(corners)}
         fixes = ArrayRows(world.times, world.ids, {AXES: np.where(world.seen, world.arrays["fixes"], np.nan)})
-        tables = {"fixes": fixes, "truth": world.truth()}
-        return world.recorded(tables, anchors=anchors, path_knots=self.route.knots())
+        return world.recorded({"fixes": fixes, "truth": world.truth()}, anchors=anchors, path_knots=self.route.knots())

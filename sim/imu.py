@@ -14,8 +14,7 @@ from jaxtyping import Float
 
 from trackwright.sim.corruptions import Corruption, Times, constant_bias, corrupted, random_walk, white_density
 from trackwright.sim.keys import Keys, normals, stream, uniforms
-from trackwright.sim.ranging import AbstractAnchorDraw
-from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, SimulatedWorld, by_name, fixed
+from trackwright.sim.tables import AXES, AbstractDraw, AbstractRigDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.state import Rotation
 from trackwright.trackers.recordings.columns import QUATERNION
@@ -68,41 +67,29 @@ def ideal_readings(times: Times, positions: Vectors, attitudes: Attitudes) -> tu
     ends = 1.5 * between[:, [0, -1]] - 0.5 * middle[:, [0, -1]]
     velocity = np.concatenate([ends[:, :1], middle, ends[:, 1:]], axis=1)
     acceleration = np.diff(velocity, axis=1) / dt
-    force, rate = _in_body(acceleration + np.array([0.0, 0.0, GRAVITY]), attitudes)
+    with jax.enable_x64(True):
+        both = _in_body(np.asarray(acceleration + np.array([0.0, 0.0, GRAVITY]), float), np.asarray(attitudes, float))
+        force, rate = (np.asarray(x) for x in both)
     rate = rate / dt
     return np.concatenate([force[:, :1], force], axis=1), np.concatenate([rate[:, :1], rate], axis=1)
 
 
-def _in_body(
-    force: Float[np.ndarray, "n intervals 3"], attitudes: Attitudes
-) -> tuple[Float[np.ndarray, "n intervals 3"], Float[np.ndarray, "n intervals 3"]]:
-    """Forces (n, T − 1, 3) rotated from room to body axes half-way between two attitudes, and the rotation vectors."""
-    given = (force, attitudes[:, :-1], attitudes[:, 1:])
-    with jax.enable_x64(True):
-        turned, turn = _in_body_each(*(jnp.asarray(np.asarray(x, np.float64)) for x in given))
-        return np.asarray(turned), np.asarray(turn)
-
-
 @jax.jit
-@jax.vmap
-@jax.vmap
-def _in_body_each(
-    force: Float[jax.Array, " 3"], before: Float[jax.Array, " 4"], after: Float[jax.Array, " 4"]
-) -> tuple[Float[jax.Array, " 3"], Float[jax.Array, " 3"]]:
-    first, second = Rotation(*before), Rotation(*after)
+def _in_body(
+    force: Float[jax.Array, "n intervals 3"], attitudes: Float[jax.Array, "n T 4"]
+) -> tuple[Float[jax.Array, "n intervals 3"], Float[jax.Array, "n intervals 3"]]:
+    """Forces (n, T − 1, 3) rotated from room to body axes half-way between two attitudes, and the rotation vectors."""
+    first, second = (Rotation(*jnp.moveaxis(x, -1, 0)) for x in (attitudes[:, :-1], attitudes[:, 1:]))
     turn = first.local(second)
     middle = first.retract([0.5 * x for x in turn])
-    return middle.inverse().apply(Vector(*force)).array(), jnp.stack(turn)
+    forces = middle.inverse().apply(Vector(*jnp.moveaxis(force, -1, 0)))
+    return jnp.stack([*forces], axis=-1), jnp.stack([*turn], axis=-1)
 
 
-MEMS_ACCEL: Mapping[str, Corruption] = MappingProxyType(
-    {"bias": constant_bias(0.1), "walk": random_walk(0.005), "noise": white_density(0.02)}
-)
+MEMS_ACCEL = MappingProxyType({"bias": constant_bias(0.1), "walk": random_walk(0.005), "noise": white_density(0.02)})
 """Errors of a low-cost accelerometer, m/s²."""
 
-MEMS_GYRO: Mapping[str, Corruption] = MappingProxyType(
-    {"bias": constant_bias(0.01), "walk": random_walk(0.0005), "noise": white_density(0.002)}
-)
+MEMS_GYRO = MappingProxyType({"bias": constant_bias(0.01), "walk": random_walk(0.0005), "noise": white_density(0.002)})
 """Errors of a low-cost gyroscope, rad/s."""
 
 
@@ -115,12 +102,12 @@ class ImuDraw(AbstractDraw):
     `positions` (n, S, 3) m and `attitudes` (n, S, 4), the truth, and `accel`, `gyro` (n, S, 3) m/s² and rad/s.
     """
 
-    readings: AbstractAnchorDraw
-    accel: Mapping[str, Corruption] = by_name(MEMS_ACCEL)
-    gyro: Mapping[str, Corruption] = by_name(MEMS_GYRO)
-    gap_s: tuple[float, float] | None = fixed(None)
-    attitude: Callable[[Keys, Times], Attitudes] = fixed(swinging)
-    imu_hz: float | None = fixed(None)
+    readings: AbstractRigDraw
+    accel: Mapping[str, Corruption] = by_name(default_factory=lambda: MEMS_ACCEL)
+    gyro: Mapping[str, Corruption] = by_name(default_factory=lambda: MEMS_GYRO)
+    gap_s: tuple[float, float] | None = static(default=None)
+    attitude: Callable[[Keys, Times], Attitudes] = static(default=swinging)
+    imu_hz: float | None = static(default=None)
 
     size = 32
 
@@ -132,14 +119,12 @@ class ImuDraw(AbstractDraw):
 
     def arrays(self, keys: Keys) -> dict[str, Any]:
         times = self.times
-        positions = self.readings.path(stream(keys, "path"), times)
+        positions = self.readings.positions(keys, times)
         attitudes = self.attitude(stream(keys, "attitude"), times)
         force, rate = ideal_readings(times, positions, attitudes)
-        there = np.ones(force.shape, bool)
-        force, _ = corrupted(self.accel.items(), stream(keys, "accelerometer"), times, force, there)
-        rate, _ = corrupted(self.gyro.items(), stream(keys, "gyro"), times, rate, there)
-        sampled = {"positions": positions, "attitudes": attitudes, "accel": force, "gyro": rate}
-        return self.readings(keys) | sampled
+        force, _ = corrupted(self.accel, stream(keys, "accelerometer"), times, force)
+        rate, _ = corrupted(self.gyro, stream(keys, "gyro"), times, rate)
+        return self.readings(keys) | {"positions": positions, "attitudes": attitudes, "accel": force, "gyro": rate}
 
     def folder(self, world: SimulatedWorld) -> RecordingFolder:
         """The folder of the readings, with IMU samples, and truth with attitudes at the samples' times."""

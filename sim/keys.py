@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Float32, Key, Shaped, UInt32
+from jaxtyping import Float, Float32, Key, UInt32
 
 from trackwright.trackers.core.model.keys import threefry
 
@@ -83,26 +83,6 @@ def _drawn(draw: Callable[[Keys, int], jax.Array], keys: Keys, size: int) -> Flo
     n, blocks = len(keys), 4
     by_block = keys[np.minimum(np.arange(-(-n // blocks) * blocks), n - 1)].reshape(blocks, -1)
     return jax.lax.map(lambda block: draw(block, size), by_block).reshape(-1, size)[:n].astype(float)
-
-
-def in_blocks(
-    draw: Callable[[Keys], dict[str, np.ndarray]], keys: Keys, size: int = 256
-) -> dict[str, Shaped[np.ndarray, "n ..."]]:
-    """The arrays (n, …) of `draw(keys)`, drawn for `size` trajectories at a time, which fit the cache.
-
-    All blocks have one shape, the last one padded: nothing is compiled twice.
-    """
-    count = len(keys)
-    if count <= size:
-        return draw(keys)
-    data, whole = np.asarray(jax.random.key_data(keys)), dict[str, np.ndarray]()
-    for first in range(0, count, size):
-        rows = np.minimum(np.arange(first, first + size), count - 1)
-        block = draw(jax.random.wrap_key_data(jnp.asarray(data[rows]), impl=_GENERATOR))
-        whole = whole or {name: np.empty((count, *x.shape[1:]), x.dtype) for name, x in block.items()}
-        for name, rows_of in block.items():
-            whole[name][first : first + size] = rows_of[: count - first]
-    return whole
 
 
 _fold_each = jax.jit(jax.vmap(jax.random.fold_in, in_axes=(None, 0)))

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from trackwright.sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
 from trackwright.sim.keys import Keys, namespace, repeated, stream, trajectory_keys, uniforms
-from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, SimulatedWorld, by_name, fixed
+from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -26,36 +25,24 @@ TAG_HEIGHT = 0.78  # metres above the floor at which the cart carries its tag (s
 FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType({"white": white_noise(0.22), "slow": gauss_markov(0.22, 1.5)})
 """A mean error of 0.39 m, as in Table 3.1, whose ratios white noise alone does not reproduce."""
 
-Lengths = Float[np.ndarray, " k"]
-Durations = Float[Any, "_ k"]  # of each trajectory, or of one for all
+Durations = tuple[Float[Any, "_ k"], Float[Any, "_ k"]]  # travel and rest, of each trajectory, or of one for all
 
 
-def constant_speed(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
-    """Situation 1: the same speed on all segments, no halts."""
-    travel = lengths[None] / speed
-    return travel, np.zeros(travel.shape)
+def durations(situation: str, keys: Keys, lengths: Float[np.ndarray, " k"], speed: float) -> Durations:
+    """The travel time on each segment and the rest after it, both (n, k), or (1, k) for all, s, as in section 2.5.
 
-
-def halts(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
-    """Situation 2: the same speed on all segments, and a halt of 5 s where two segments meet."""
-    travel, _ = constant_speed(keys, lengths, speed)
-    return travel, np.where(np.arange(len(lengths)) < len(lengths) - 1, 5.0, np.zeros(travel.shape))
-
-
-def speed_changes(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
-    """Situation 3: a random speed on every segment, with a ratio of at most 4 between fastest and slowest, no halts.
-
-    The whole path takes as long as at `speed`.
+    Situation 1, `constant`: the same speed on all segments, no halts. 2, `halts`: and a halt of 5 s where two segments
+    meet. 3, `speeds`: a random speed on every segment, with a ratio of at most 4 between fastest and slowest, no halts;
+    the whole path takes as long as at `speed`.
     """
-    factors = 2.0 ** (2.0 * uniforms(stream(keys, "speeds"), (len(lengths),)).astype(float) - 1.0)
-    travel = lengths / factors
-    travel = travel * (lengths.sum() / speed / travel.sum(axis=1, keepdims=True))
-    return travel, np.zeros(travel.shape)
-
-
-SITUATIONS = MappingProxyType({"constant": constant_speed, "halts": halts, "speeds": speed_changes})
-"""The three situations of section 2.5: of keys, lengths and mean speed the travel time on each segment and the rest
-after it, both (n, k), or (1, k) for all, s."""
+    travel = lengths[None] / speed
+    if situation == "speeds":
+        factors = 2.0 ** (2.0 * uniforms(stream(keys, "speeds"), (len(lengths),)).astype(float) - 1.0)
+        travel = lengths / factors
+        travel = travel * (lengths.sum() / speed / travel.sum(axis=1, keepdims=True))
+    rest = np.zeros(travel.shape)
+    rest[:, :-1] = {"constant": 0.0, "halts": 5.0, "speeds": 0.0}[situation]
+    return travel, rest
 
 
 def piecewise_linear(x: Any, knots: Any, values: Float[np.ndarray, " k"]) -> Any:
@@ -68,26 +55,22 @@ def piecewise_linear(x: Any, knots: Any, values: Float[np.ndarray, " k"]) -> Any
     return values[0] + sum(ramps)
 
 
-def _corners(knots: Any) -> tuple[tuple[float, ...], ...]:
-    return tuple(map(tuple, np.asarray(knots, float).tolist()))
-
-
 class LineDraw(AbstractDraw):
     """Tags that travel the path once, at rest for `rest_s` s before and after, with fixes at `rate_hz`.
 
-    `situation`: a name of `SITUATIONS`. `errors`: corruptions of the fixes by name, in order. `knots` (k, 2): the
-    corners of the path, m. `carried_off`: start and end, s, of the time that the tag spends off the line, and its
-    offset then, (dx, dy) m. Its arrays: `arclength` (n, T) m; `positions`, `fixes` (n, T, 2) m, where `seen`. The
-    thesis prints neither speeds nor rate.
+    `situation`: as in `durations`. `errors`: corruptions of the fixes by name, in order. `knots`: the corners (x, y) of
+    the path, m. `carried_off`: start and end, s, of the time that the tag spends off the line, and its offset, (dx, dy)
+    m. Its arrays: `arclength` (n, T) m; `positions`, `fixes` (n, T, 2) m, where `seen`. The thesis prints neither
+    speeds nor rate.
     """
 
-    situation: str = fixed("constant")
-    errors: Mapping[str, Corruption] = by_name(FIX_ERRORS)
-    knots: tuple[tuple[float, ...], ...] = eqx.field(static=True, converter=_corners, default=_corners(THESIS_KNOTS))
-    speed: float = fixed(0.3)
-    rest_s: float = fixed(10.0)
-    rate_hz: float = fixed(5.0)
-    carried_off: tuple[float, float, tuple[float, float]] | None = fixed(None)
+    situation: Literal["constant", "halts", "speeds"] = static(default="constant")
+    errors: Mapping[str, Corruption] = by_name(default_factory=lambda: FIX_ERRORS)
+    knots: tuple[tuple[float, ...], ...] = static(default=tuple(map(tuple, THESIS_KNOTS.tolist())))
+    speed: float = static(default=0.3)
+    rest_s: float = static(default=10.0)
+    rate_hz: float = static(default=5.0)
+    carried_off: tuple[float, float, tuple[float, float]] | None = static(default=None)
 
     measured = MappingProxyType({"fixes": "seen"})
 
@@ -100,7 +83,8 @@ class LineDraw(AbstractDraw):
 
     def _ends(self, keys: Keys) -> Float[Any, "_ legs"]:
         """The times, s, at which the tags' first rest, and each travel and rest after it, ends."""
-        travel, rest = SITUATIONS[self.situation](keys, np.asarray(Polyline(np.array(self.knots)).lengths), self.speed)
+        lengths = np.asarray(Polyline(np.array(self.knots)).lengths)
+        travel, rest = durations(self.situation, keys, lengths, self.speed)
         xp = namespace(travel)
         legs = xp.stack([travel, rest], axis=-1).reshape(len(travel), -1)
         return self.rest_s + xp.concatenate([np.zeros((len(legs), 1)), xp.cumsum(legs, axis=1)], axis=1)
@@ -108,9 +92,8 @@ class LineDraw(AbstractDraw):
     def arrays(self, keys: Keys) -> dict[str, Any]:
         times, knots, ends = self.times, np.array(self.knots), self._ends(keys)
         lengths = np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1))
-        marks = np.concatenate([[0.0], np.repeat(np.cumsum(lengths), 2)])
         corners, xp = np.concatenate([[0.0], np.cumsum(lengths)]), namespace(ends)
-        arclength = piecewise_linear(times, ends.T[..., None], marks)
+        arclength = piecewise_linear(times, ends.T[..., None], np.repeat(corners, 2)[1:])
         positions = xp.stack([piecewise_linear(arclength, corners, axis) for axis in knots.T], axis=-1)
         if self.carried_off is not None:
             start, stop, offset = self.carried_off
@@ -118,7 +101,7 @@ class LineDraw(AbstractDraw):
             positions = positions + np.where(away[:, None], np.asarray(offset, float), 0.0)
         if len(ends) == 1:
             arclength, positions = repeated(arclength, keys), repeated(positions, keys)
-        fixes, seen = corrupted(self.errors.items(), keys, times, positions, np.ones(positions.shape, bool))
+        fixes, seen = corrupted(self.errors, keys, times, positions)
         return {"arclength": arclength, "positions": positions, "fixes": fixes, "seen": seen}
 
     def folder(self, world: SimulatedWorld) -> RecordingFolder:

@@ -1,27 +1,19 @@
-"""Ranges and range differences (TDoA) between tags and anchors, of tags alone and of several on a trolley, in m.
-
-`drop_outs`, `white_noise`, `gauss_markov` and `outliers` of `sim.corruptions` apply to ranges, too.
-"""
+"""Ranges and range differences (TDoA) between tags and anchors, of tags alone and of several on a trolley, in m."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from types import MappingProxyType
 from typing import Any, Literal
 
-import equinox as eqx
 import numpy as np
-from jax.tree_util import Partial
 from jaxtyping import Float
 
-from trackwright.sim import corruptions as errors
-from trackwright.sim.corruptions import Constant, Corruption, Seen, Times, Values, corrupted, in_bursts
-from trackwright.sim.keys import Keys, in_dtype, namespace, normals, stream, uniforms
-from trackwright.sim.paths import PathFunction, hand_motion
-from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, SimulatedWorld, by_name, fixed
+from trackwright.sim.corruptions import Corruption, Seen, corrupted, white_density
+from trackwright.sim.keys import Keys, namespace, normals, stream, uniforms
+from trackwright.sim.paths import Times, hand_motion
+from trackwright.sim.tables import AXES, AbstractDraw, AbstractRigDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -34,12 +26,6 @@ CHAMBER = np.array([[0.0, 0.0, 0.3], [5.0, 0.0, 2.5], [5.0, 5.0, 0.3], [0.0, 5.0
 
 # Eight anchors, m, in the corners of the chamber, near the floor and below the ceiling.
 CORNERS = np.array([[x, y, z] for z in (0.3, 2.5) for x, y in ((0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0))])
-
-WALK_VOLUME = np.array([[0.8, 0.8, 0.8], [4.2, 4.2, 1.6]])
-"""The volume of the tags' paths in the chamber, lower and upper corner, m."""
-
-WALK: PathFunction = partial(hand_motion, volume=WALK_VOLUME, speed=0.5)
-"""Smooth random motion through that volume at 0.5 m/s."""
 
 
 @dataclass(frozen=True)
@@ -62,73 +48,18 @@ def two_way_ranges(keys: Keys, distances: Ranges, protocol: Protocol) -> Ranges:
     tag, anchor = rates[:, None, :1], rates[:, None, 1:]
     # Every interval lies between two time stamps, each with independent noise; all as lengths, m.
     stamps = protocol.sigma_stamp * normals(stream(keys, "stamps"), (rows, anchors, 6)).astype(float) * SPEED_OF_LIGHT
-    poll_sent, poll_received, reply_sent, reply_received, final_sent, final_received = (
-        stamps[..., k] for k in range(6)
-    )
+    poll_out, poll_in, reply_out, reply_in, final_out, final_in = (stamps[..., k] for k in range(6))
     # Equation (12) of Neirynck et al. as in `double_sided`, with (1 + rate) (2 flight + reply) + noise for round trips
     # and (1 + rate) reply + noise for delays, multiplied out: the squares of the reply cancel, also in float32.
     both, reply = (1.0 + tag) * (1.0 + anchor), protocol.reply_s * SPEED_OF_LIGHT
-    first, second = reply_received - poll_sent, final_received - reply_sent
-    delay, second_delay = reply_sent - poll_received, final_sent - reply_received
+    first, second = reply_in - poll_out, final_in - reply_out
+    delay, second_delay = reply_out - poll_in, final_out - reply_in
     there = (1.0 + anchor) * second + (1.0 + tag) * first
     back = (1.0 + tag) * second_delay + (1.0 + anchor) * delay
     product = 4.0 * both * distances * (distances + reply) + 2.0 * distances * there + reply * (there - back)
     product = product + (first * second - delay * second_delay)
     noise = first + second + delay + second_delay
     return product / (2.0 * (distances + reply) * (2.0 + tag + anchor) + noise)
-
-
-def antenna_biases(sigma: float) -> Corruption:
-    """A constant bias of each anchor's ranges, m, normal with mean zero: uncalibrated antenna delays."""
-    return errors.added(_antenna_biases, sigma=sigma)
-
-
-def _antenna_biases(keys: Keys, times: Times, values: Values, *, sigma: float) -> Constant:
-    return (sigma * normals(keys, values.shape[2:3]))[:, None]
-
-
-def obstruction(share: float, mean_length_s: float, bias: float, tail: float) -> Corruption:
-    """No line of sight to an anchor for a `share` of the time, `mean_length_s` at a stretch on average.
-
-    Meanwhile its ranges are too long by `bias` m plus exponential noise of mean `tail` m.
-    """
-    hidden = errors.bursts("the share of the time without line of sight", share, mean_length_s)
-    return errors.added(_detour, hidden_when=hidden, bias=bias, tail=tail)
-
-
-def _detour(
-    keys: Keys, times: Times, values: Values, *, hidden_when: Mapping[str, float], bias: float, tail: float
-) -> Values:
-    hidden = in_bursts(stream(keys, "hidden"), times, values.shape[2], **hidden_when)
-    draws = in_dtype(uniforms(stream(keys, "detour"), values.shape[1:]), values)
-    xp = namespace(hidden, draws)
-    return xp.where(hidden, bias - tail * xp.log1p(-draws), 0.0)
-
-
-def on_anchors(anchors: Sequence[int], corruption: Corruption) -> Corruption:
-    """The corruption restricted to the ranges of some anchors, which count from 0 in the rig's order."""
-    return Partial(_on_anchors, tuple(anchors), corruption)
-
-
-def _on_anchors(
-    chosen: tuple[int, ...], corruption: Corruption, keys: Keys, times: Times, values: Values, seen: Seen
-) -> tuple[Values, Seen]:
-    parts = corruption(keys, times, values[..., list(chosen)], seen[..., list(chosen)])
-    xp, order = namespace(*parts), [*(k for k in range(values.shape[-1]) if k not in chosen), *chosen]
-    rest, place = order[: -len(chosen)], np.argsort(order)
-    both = (xp.concatenate([x[..., rest], part], axis=-1) for x, part in zip((values, seen), parts, strict=True))
-    values, seen = (x[..., place] for x in both)
-    return values, seen
-
-
-def round_robin() -> Corruption:
-    """Polling of the anchors in turn: one range per row instead of one to every anchor."""
-
-    return Partial(_in_turn)
-
-
-def _in_turn(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-    return values, seen & (np.arange(values.shape[1])[:, None] % values.shape[2] == np.arange(values.shape[2]))
 
 
 def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
@@ -144,52 +75,20 @@ def distances_to(rig: Rig, positions: Float[Any, "*rows 3"]) -> Float[Any, "*row
     return distances
 
 
-class AbstractAnchorDraw(AbstractDraw):
-    """Tags that hear the anchors of a rig at `n_points` times; `corruptions`: of what they hear, by name, in order."""
-
-    rig: Rig = eqx.field(static=True)
-    path: PathFunction = fixed(WALK)
-    corruptions: Mapping[str, Corruption] = by_name()
-    rate_hz: float = fixed(10.0)
-    n_points: int = fixed(200)
-
-    size = 32
-
-    @property
-    def times(self) -> Times:
-        return np.arange(self.n_points) / self.rate_hz
-
-    @abstractmethod
-    def rows(self, world: SimulatedWorld) -> dict[str, ArrayRows]:
-        """The table of what the tags hear, by its name."""
-
-    def heard(self, keys: Keys, values: Ranges) -> tuple[Ranges, Seen]:
-        """The corrupted values (n, T, anchors), m, and where there are any."""
-        keys = stream(keys, "corruptions")
-        return corrupted(self.corruptions.items(), keys, self.times, values, np.ones(values.shape, bool))
-
-    def folder(self, world: SimulatedWorld, **more: ArrayRows) -> RecordingFolder:
-        """What the tags hear, truth in space, and `more` tables; constant heights are in the rig."""
-        heights = [float(z[0]) if np.ptp(z) == 0 else None for z in world.positions[..., 2]]
-        tags = {str(i): Tag(height) for i, height in zip(world.ids, heights, strict=True)}
-        tables = {**self.rows(world), "truth": world.truth(), **more}
-        return world.recorded(tables, tags, anchors=self.rig.anchors)
-
-
-class RangeDraw(AbstractAnchorDraw):
+class RangeDraw(AbstractRigDraw):
     """Ranges to all anchors of the rig, by a two-way protocol, along paths `path`.
 
     Its arrays: `positions` (n, T, 3) m; `ranges` (n, T, anchors) m, where `seen`, anchors in the order of the rig.
     """
 
-    protocol: Protocol = fixed(Protocol())
+    protocol: Protocol = static(default=Protocol())
 
     measured = MappingProxyType({"ranges": "seen"})
 
     def arrays(self, keys: Keys) -> dict[str, Any]:
-        positions = self.path(stream(keys, "path"), self.times)
+        positions = self.positions(keys, self.times)
         ranges = two_way_ranges(stream(keys, "two-way ranging"), distances_to(self.rig, positions), self.protocol)
-        ranges, seen = self.heard(keys, ranges)
+        ranges, seen = corrupted(self.corruptions, stream(keys, "corruptions"), self.times, ranges)
         # A tag reports no range that is not positive.
         return {"positions": positions, "ranges": ranges, "seen": seen & (ranges > 0)}
 
@@ -203,38 +102,31 @@ def _range_rows(times: Times, tags: np.ndarray, ranges: Ranges, seen: Seen, rig:
     return ArrayRows(times, tags, {("range_m",): ranges[..., None]}, seen, anchors)
 
 
-Schedule = Literal["messages", "turns"]
-"""At each time the differences of all anchors heard from the first of them; or one, of two neighbours in turn."""
+class DifferenceDraw(AbstractRigDraw):
+    """Range differences; the noise of an arrival is in all differences with its anchor.
 
-
-class DifferenceDraw(AbstractAnchorDraw):
-    """Range differences by a `Schedule`; the noise of an arrival is in all differences with its anchor.
-
-    Its arrays: `positions` (n, T, 3) m; `arrivals` (n, T, anchors): times of arrival as distances, m, up to an offset
+    `schedule`: at each time those of all anchors heard from the first of them; or one, of two neighbours in turn. Its
+    arrays: `positions` (n, T, 3) m; `arrivals` (n, T, anchors): times of arrival as distances, m, up to an offset
     common to the anchors of a time, where `heard`, anchors in the order of the rig.
     """
 
-    schedule: Schedule = fixed("messages")
+    schedule: Literal["messages", "turns"] = static(default="messages")
 
     def arrays(self, keys: Keys) -> dict[str, Any]:
-        positions = self.path(stream(keys, "path"), self.times)
-        arrivals, heard = self.heard(keys, distances_to(self.rig, positions))
+        positions, errors = self.positions(keys, self.times), stream(keys, "corruptions")
+        arrivals, heard = corrupted(self.corruptions, errors, self.times, distances_to(self.rig, positions))
         return {"positions": positions, "arrivals": arrivals, "heard": heard}
 
     def rows(self, world: SimulatedWorld) -> dict[str, ArrayRows]:
         """A row per difference."""
-        heard, numbers, names = world.heard, np.arange(len(self.rig.anchors)), [*self.rig.anchors]
+        heard, names = world.heard, [*self.rig.anchors]
         if self.schedule == "messages":
-            anchor, other = numbers, np.argmax(heard, axis=2)[..., None]
+            anchor, other = np.arange(len(names))[None, None], np.argmax(heard, axis=2)[..., None]
         else:
-            anchor = (np.arange(self.n_points) % len(numbers))[:, None]
-            other = (anchor - 1) % len(numbers)
-
-        def of(values: np.ndarray, number: np.ndarray) -> np.ndarray:
-            return np.take_along_axis(values, np.broadcast_to(number, (*values.shape[:2], number.shape[-1])), axis=2)
-
-        differences = (of(world.arrivals, anchor) - of(world.arrivals, other))[..., None]
-        seen = of(heard, anchor) & of(heard, other) & (anchor != other)
+            anchor = (np.arange(self.n_points) % len(names))[None, :, None]
+            other = (anchor - 1) % len(names)
+        arrival, seen = ([np.take_along_axis(x, k, axis=2) for k in (anchor, other)] for x in (world.arrivals, heard))
+        differences, seen = (arrival[0] - arrival[1])[..., None], seen[0] & seen[1] & (anchor != other)
         of_rows = {"anchor": (anchor, names), "anchor_2": (other, names)}
         return {"tdoa": ArrayRows(self.times, world.ids, {("range_difference_m",): differences}, seen, of_rows)}
 
@@ -267,13 +159,13 @@ class TrolleyDraw(AbstractDraw):
     turning rate, rad/s, of each time until the next.
     """
 
-    rig: Rig = eqx.field(static=True)
-    tags: int = fixed(3)
-    rate_hz: float = fixed(10.0)
-    n_points: int = fixed(200)
-    of_anchors: Mapping[str, Corruption] = by_name()
-    of_ranges: Mapping[str, Corruption] = by_name()
-    wheels: tuple[float, float] | None = fixed((0.01, 0.04))
+    rig: Rig = static()
+    tags: int = static(default=3)
+    rate_hz: float = static(default=10.0)
+    n_points: int = static(default=200)
+    of_anchors: Mapping[str, Corruption] = by_name(default_factory=dict)
+    of_ranges: Mapping[str, Corruption] = by_name(default_factory=dict)
+    wheels: tuple[float, float] | None = static(default=(0.01, 0.04))
 
     size = 32
 
@@ -291,10 +183,10 @@ class TrolleyDraw(AbstractDraw):
         positions = axle[:, :, None] + arms
         distances = distances_to(self.rig, positions)
         nothing = np.zeros_like(distances[:, :, 0])
-        shared, heard = corrupted(self.of_anchors.items(), stream(keys, "anchors"), times, nothing, nothing == 0.0)
+        shared, heard = corrupted(self.of_anchors, stream(keys, "anchors"), times, nothing)
         ranges, heard = distances + shared[:, :, None], np.broadcast_to(heard[:, :, None], distances.shape)
         flat = (x.reshape(*x.shape[:2], -1) for x in (ranges, heard))
-        ranges, seen = corrupted(self.of_ranges.items(), stream(keys, "ranges"), times, *flat)
+        ranges, seen = corrupted(self.of_ranges, stream(keys, "ranges"), times, *flat)
         ranges, seen = (x.reshape(distances.shape) for x in (np.where(seen, ranges, 0.0), seen))
         arrays = {"positions": positions, "headings": headings, "ranges": ranges, "seen": seen}
         if self.wheels is not None:
@@ -332,6 +224,6 @@ def _driven(
     speed = np.sqrt((np.diff(axle, axis=1) ** 2).sum(axis=-1)) / dt / np.sinc(turn / (2 * np.pi))
     readings = np.stack([speed, turn / dt], axis=-1)
     for k, sigma in enumerate(wheels):
-        noise, part = [("noise", errors.white_density(sigma))], readings[..., k : k + 1]
-        readings[..., k : k + 1], _ = corrupted(noise, stream(keys, f"wheels {k}"), times[:-1], part, part == part)
+        noise, errors = {"noise": white_density(sigma)}, stream(keys, f"wheels {k}")
+        readings[..., k : k + 1], _ = corrupted(noise, errors, times[:-1], readings[..., k : k + 1])
     return readings

@@ -12,18 +12,19 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Literal
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from trackwright.sim.corruptions import Corruption, corrupted
 from trackwright.sim.keys import Keys, in_dtype, namespace, normals, stream, uniforms
-from trackwright.sim.paths import PATHS, WORK_VOLUME, PathFunction
+from trackwright.sim.paths import WORK_VOLUME, PathFunction
 from trackwright.sim.ranging import RangeDraw
-from trackwright.sim.tables import AbstractDraw, ArrayRows, SimulatedWorld, by_name, fixed
+from trackwright.sim.tables import AbstractDraw, AbstractRigDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.aoa.phases import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.recordings.folder import RecordingFolder
+
+Phases = Float[Any, "*rows stations antennas"]
 
 _BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
@@ -34,9 +35,7 @@ def wrapped(angle: Float[Any, "*shape"]) -> Float[Any, "*shape"]:
     return angle - turn * namespace(angle).ceil(angle / turn - 0.5)
 
 
-def spherical_phases(
-    stations: Sequence[Station], positions: Float[Any, "*rows 3"]
-) -> Float[Any, "*rows stations antennas"]:
+def spherical_phases(stations: Sequence[Station], positions: Float[Any, "*rows 3"]) -> Phases:
     """Phases (..., stations, antennas), rad in (-pi, pi], of spherical waves from beacons at positions (..., 3), m.
 
     The phase of antenna i is -2 pi / lambda times its distance from the beacon. Raises ValueError for stations without
@@ -49,9 +48,7 @@ def spherical_phases(
     return wrapped(distances * (-2 * np.pi / wavelengths[:, None]))
 
 
-def plane_phases(
-    stations: Sequence[Station], positions: Float[Any, "*rows 3"]
-) -> Float[Any, "*rows stations antennas"]:
+def plane_phases(stations: Sequence[Station], positions: Float[Any, "*rows 3"]) -> Phases:
     """Phases (..., stations, antennas) of plane waves, equation (9): 2 pi / lambda * p_i . u.
 
     An approximation for distant beacons; for worlds in which a tracker's model is exact. Shapes, units and errors as in
@@ -84,7 +81,7 @@ def antenna_arrays(
 WAVES = MappingProxyType({"spherical": spherical_phases, "plane": plane_phases})
 
 
-class PhaseDraw(AbstractDraw):
+class PhaseDraw(AbstractRigDraw):
     """Phases at all stations of the rig along a path, at `n_points` times: of a spherical (or plane) wave.
 
     Each row of a station has a random common offset, each phase white noise of `sigma_p` rad. `path`: a name of `PATHS`
@@ -93,13 +90,9 @@ class PhaseDraw(AbstractDraw):
     stations without arrays.
     """
 
-    rig: Rig = eqx.field(static=True)
-    path: str | PathFunction = fixed("helix")
-    corruptions: Mapping[str, Corruption] = by_name()
+    path: str | PathFunction = static(default="helix")
     sigma_p: float = 0.1
-    rate_hz: float = fixed(10.0)
-    n_points: int = fixed(200)
-    wave: Literal["spherical", "plane"] = fixed("spherical")
+    wave: Literal["spherical", "plane"] = static(default="spherical")
 
     measured = MappingProxyType({"phases": "seen"})
     size = 64
@@ -107,30 +100,24 @@ class PhaseDraw(AbstractDraw):
     def __check_init__(self) -> None:
         antenna_arrays(list(self.rig.stations.values()))
 
-    @property
-    def times(self) -> Float[np.ndarray, " T"]:
-        return np.arange(self.n_points) / self.rate_hz
-
     def arrays(self, keys: Keys) -> dict[str, Any]:
         times, stations = self.times, list(self.rig.stations.values())
-        positions = (PATHS[self.path] if isinstance(self.path, str) else self.path)(stream(keys, "path"), times)
+        positions = self.positions(keys, times)
         common = uniforms(stream(keys, "common phase"), (self.n_points, len(stations)))
         values = WAVES[self.wave](stations, positions) + 2 * np.pi * in_dtype(common, positions)[..., None]
         values = values.astype(np.float32)
         values = values + in_dtype(self.sigma_p * normals(stream(keys, "phase noise"), values.shape[1:]), values)
-        keys, seen = stream(keys, "corruptions"), np.ones(values.shape, bool)
-        values, seen = corrupted(self.corruptions.items(), keys, times, values, seen)
+        values, seen = corrupted(self.corruptions, stream(keys, "corruptions"), times, values)
         # In float32, pi is rounded up: the clip keeps the values in (-pi, pi].
         values = namespace(values).clip(wrapped(values.astype(float)).astype(np.float32), -_BELOW_PI, _BELOW_PI)
         return {"positions": positions, "phases": values, "seen": seen}
 
-    def folder(self, world: SimulatedWorld) -> RecordingFolder:
-        """A row of phases per tag, time and station with at least one, and truth in space."""
+    def rows(self, world: SimulatedWorld) -> dict[str, ArrayRows]:
+        """A row per tag, time and station with at least one phase."""
         values = np.where(world.seen, world.arrays["phases"].astype(np.float64), np.nan)
         columns = {tuple(f"phase_{k + 1}_rad" for k in range(values.shape[-1])): values}
         stations = {"station": (np.arange(len(self.rig.stations)), [*self.rig.stations])}
-        phases = ArrayRows(world.times, world.ids, columns, world.seen.any(axis=-1), stations)
-        return world.recorded({"phases": phases, "truth": world.truth()}, stations=self.rig.stations)
+        return {"phases": ArrayRows(world.times, world.ids, columns, world.seen.any(axis=-1), stations)}
 
 
 def work_station(antennas: Float[np.ndarray, "n 2"] | None = None, radius: float = 0.4) -> Rig:
@@ -192,7 +179,7 @@ class FusionDraw(AbstractDraw):
     """
 
     ranges: RangeDraw
-    of_angles: Mapping[str, Corruption] = by_name()
+    of_angles: Mapping[str, Corruption] = by_name(default_factory=dict)
 
     measured = MappingProxyType({"ranges": "seen", "angles": "heard"})
     size = 32
@@ -205,15 +192,12 @@ class FusionDraw(AbstractDraw):
         ranged, stations = self.ranges(keys), self.ranges.rig.stations.values()
         xp = namespace(ranged["positions"])
         angles = xp.concatenate([station.angles(ranged["positions"]) for station in stations], axis=2)
-        keys, heard = stream(stream(keys, "angles"), "corruptions"), np.ones(angles.shape, bool)
-        angles, heard = corrupted(self.of_angles.items(), keys, self.times, angles, heard)
+        angles, heard = corrupted(self.of_angles, stream(stream(keys, "angles"), "corruptions"), self.times, angles)
         return {**ranged, "angles": angles, "heard": heard}
 
     def folder(self, world: SimulatedWorld) -> RecordingFolder:
         """A row per range and per pair of angles, and truth in space."""
-        rig, heard = self.ranges.rig, world.heard[..., ::2]
+        heard, names = world.heard[..., ::2], [*self.ranges.rig.stations]
         columns = {("azimuth_rad", "elevation_rad"): world.arrays["angles"].reshape(*heard.shape, 2)}
-        stations = {"station": (np.arange(len(rig.stations)), [*rig.stations])}
-        bearings = ArrayRows(world.times, world.ids, columns, heard, stations)
-        tables = {**self.ranges.rows(world), "bearings": bearings, "truth": world.truth()}
-        return world.recorded(tables, anchors=rig.anchors, stations=rig.stations)
+        stations = {"station": (np.arange(len(names)), names)}
+        return self.ranges.folder(world, bearings=ArrayRows(world.times, world.ids, columns, heard, stations))

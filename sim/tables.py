@@ -7,8 +7,9 @@ from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -17,32 +18,25 @@ import polars as pl
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trackwright.sim.corruptions import Corruption
-from trackwright.sim.keys import Keys, in_blocks, trajectory_keys
+from trackwright.sim.keys import Keys, stream, trajectory_keys
+from trackwright.sim.paths import PATHS, WALK, PathFunction, Positions, Times
 from trackwright.trackers import catalogue
 from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.columns import TagRows, TruePaths
 from trackwright.trackers.recordings.folder import RecordingFolder, Tables
-from trackwright.trackers.recordings.kinds import table_kinds
 from trackwright.trackers.recordings.trajectories import known_height
 
 AXES = ("x_m", "y_m", "z_m")  # the columns of a position
 
 Ids = Shaped[np.ndarray, " n"]
 Names = Mapping[str, tuple[Int[np.ndarray, "..."], Sequence[str]]]
-T = TypeVar("T")
 
+static = partial(eqx.field, static=True)
+"""A field of a draw that programs do not trace, as what decides shapes."""
 
-def fixed(default: T) -> T:
-    """A field of a draw with this default that a program does not trace, as what decides shapes."""
-    field: T = eqx.field(static=True, default=default)
-    return field
-
-
-def by_name(default: Mapping[str, Corruption] = MappingProxyType({})) -> Mapping[str, Corruption]:
-    """A field of a draw: corruptions by name, which is the random stream, in order; programs trace their levels."""
-    field: Mapping[str, Corruption] = eqx.field(converter=OrderedDict, default_factory=lambda: default)
-    return field
+by_name = partial(eqx.field, converter=OrderedDict)
+"""A field of corruptions by name, which is the random stream, in order; programs trace their levels."""
 
 
 class ArrayRows(TagRows):
@@ -98,6 +92,7 @@ class SimulatedTables(Tables):
     def __init__(self, rows: Mapping[str, ArrayRows], draw: AbstractDraw) -> None:
         super().__init__({})
         self._arrays, self.draw = rows, draw
+        self._rows = {(name, 0.0): of for name, of in rows.items()}
 
     def __getitem__(self, name: str) -> pl.DataFrame:
         if name not in self._frames:
@@ -109,9 +104,6 @@ class SimulatedTables(Tables):
 
     def __len__(self) -> int:
         return len(self._arrays)
-
-    def rows(self, name: str, interval: float = 0.0) -> TagRows:
-        return super().rows(name, interval) if interval and table_kinds()[name].averaged else self._arrays[name]
 
     def paths(self, recording: str) -> TruePaths:
         if self._paths is None:
@@ -163,8 +155,15 @@ class AbstractDraw(eqx.Module):
 
     def drawn(self, n: int | Sequence[int] | np.ndarray = 1, seed: int = 0, name: str = "world") -> SimulatedWorld:
         """The world of `n` trajectories, or of those with the ids `n`, each a function of the seed and its id alone."""
-        ids = np.arange(n) if isinstance(n, int | np.integer) else np.asarray(n)
-        return self.world(in_blocks(self, trajectory_keys(seed, ids), size=self.size), ids, name)
+        ids, arrays = np.arange(n) if isinstance(n, int | np.integer) else np.asarray(n), dict[str, np.ndarray]()
+        # In blocks that fit the cache, all of one shape, so that nothing is compiled twice.
+        size = min(self.size, len(ids))
+        for first in range(0, len(ids), size):
+            block = self(trajectory_keys(seed, ids[np.minimum(np.arange(first, first + size), len(ids) - 1)]))
+            arrays = arrays or {array: np.empty((len(ids), *x.shape[1:]), x.dtype) for array, x in block.items()}
+            for array, x in block.items():
+                arrays[array][first : first + size] = x[: len(ids) - first]
+        return self.world(arrays, ids, name)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -228,3 +227,37 @@ class SimulatedWorld:
 
     def __repr__(self) -> str:
         return f"<SimulatedWorld '{self.name}': {len(self.ids)} trajectories, {type(self.draw).__name__}>"
+
+
+class AbstractRigDraw(AbstractDraw):
+    """Tags that move by `path`, a name of `PATHS` or a function, among the anchors and stations of a rig.
+
+    `corruptions`: of the readings at `n_points` times, by name, in order.
+    """
+
+    rig: Rig = static()
+    path: str | PathFunction = static(default=WALK)
+    corruptions: Mapping[str, Corruption] = by_name(default_factory=dict)
+    rate_hz: float = static(default=10.0)
+    n_points: int = static(default=200)
+
+    size = 32
+
+    @property
+    def times(self) -> Times:
+        return np.arange(self.n_points) / self.rate_hz
+
+    @abstractmethod
+    def rows(self, world: SimulatedWorld) -> dict[str, ArrayRows]:
+        """The table of the readings, by its name."""
+
+    def positions(self, keys: Keys, times: Times) -> Positions:
+        """The true positions (n, T, 3), m."""
+        return (PATHS[self.path] if isinstance(self.path, str) else self.path)(stream(keys, "path"), times)
+
+    def folder(self, world: SimulatedWorld, **more: ArrayRows) -> RecordingFolder:
+        """The readings, truth in space, and `more` tables; constant heights beside anchors are in the rig."""
+        heights = [float(z[0]) if self.rig.anchors and np.ptp(z) == 0 else None for z in world.positions[..., 2]]
+        tags = {str(i): Tag(height) for i, height in zip(world.ids, heights, strict=True)}
+        tables = {**self.rows(world), "truth": world.truth(), **more}
+        return world.recorded(tables, tags, anchors=self.rig.anchors, stations=self.rig.stations)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import partial, wraps
 from numbers import Integral, Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, get_args, get_origin, get_type_hints
 
 from trackwright import sim
 
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 __all__ = ["WORLDS", "agv", "body", "fusion", "line", "ranges", "station", "tdoa", "tool"]
 
 P = ParamSpec("P")
-R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class ParameterError(ValueError):
         self.name, self.value, self.expected = name, value, expected
 
 
-def checked(world: Callable[P, R]) -> Callable[P, R]:
+def checked(world: Callable[P, SimulatedWorld]) -> Callable[P, SimulatedWorld]:
     """The function with its arguments checked against their annotations before the call.
 
     It raises TypeError for an unknown parameter, ParameterError for a value outside its range or choices.
@@ -66,7 +65,7 @@ def checked(world: Callable[P, R]) -> Callable[P, R]:
     signature = inspect.signature(world)
 
     @wraps(world)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+    def call(*args: P.args, **kwargs: P.kwargs) -> SimulatedWorld:
         refuse_unknown(kwargs, signature.parameters)
         for name, value in signature.bind(*args, **kwargs).arguments.items():
             kind, *allowed = get_args(hints[name]) or (hints[name],)
@@ -141,8 +140,7 @@ def station(
         if name not in rig.stations or not 1 <= antenna <= 8:
             raise ParameterError("masked_antenna", masked_antenna, "a station, 1 to 3, and an antenna, 1 to 8")
         errors["masked antenna"] = sim.mask_antenna(int(name) - 1, antenna - 1)
-    draw = sim.PhaseDraw(rig, path, errors, sigma_p, rate_hz, rows)
-    return _drawn(path, draw, n, seed, ids)
+    return _drawn(path, sim.PhaseDraw(rig, path, errors, rate_hz, rows, sigma_p), n, seed, ids)
 
 
 @checked
@@ -189,8 +187,7 @@ def ranges(
         lost: share of the ranges that are missing.
     """
     errors = _errors_of_anchors(bias, 0.0, hidden, sigma_r, lost)
-    draw = sim.RangeDraw(sim.chamber(), corruptions=errors, rate_hz=rate_hz, n_points=rows)
-    return _drawn("ranges", draw, n, seed, ids)
+    return _drawn("ranges", sim.RangeDraw(sim.chamber(), sim.WALK, errors, rate_hz, rows), n, seed, ids)
 
 
 @checked
@@ -226,8 +223,7 @@ def tdoa(
 
     # A difference has the noise of two arrivals.
     errors = _errors_of_anchors(bias, drift, hidden, sigma_d / 2**0.5, lost)
-    how: dict[str, Any] = {"rate_hz": rate_hz, "n_points": rows, "schedule": schedule}
-    draw = sim.DifferenceDraw(sim.chamber(CORNERS), corruptions=errors, **how)
+    draw = sim.DifferenceDraw(sim.chamber(CORNERS), sim.WALK, errors, rate_hz, rows, schedule)
     return _drawn("tdoa", sim.ImuDraw(draw, imu_hz=100.0) if imu else draw, n, seed, ids)
 
 
@@ -260,7 +256,7 @@ def fusion(
         bias_angle: standard deviation of errors of azimuth and elevation that last for 5 s, rad.
         lost: share of the ranges and of the angles that are missing.
     """
-    from trackwright.sim.ranging import WALK_VOLUME
+    from trackwright.sim.paths import WALK_VOLUME
     from trackwright.sim.stations import with_stations
 
     rig = with_stations(sim.chamber(), WALK_VOLUME.mean(axis=0), stations)
@@ -269,7 +265,7 @@ def fusion(
         {"drift": (sim.gauss_markov, bias_angle, 5.0), "white": (sim.white_noise, sigma_angle),
          "lost": (sim.drop_outs, lost)}
     )  # fmt: skip
-    draw = sim.RangeDraw(rig, corruptions=errors, rate_hz=rate_hz, n_points=rows)
+    draw = sim.RangeDraw(rig, sim.WALK, errors, rate_hz, rows)
     return _drawn("fusion", sim.FusionDraw(draw, of_angles), n, seed, ids)
 
 
@@ -344,8 +340,7 @@ def tool(
     """
     if gap is not None and not 0 <= gap[0] < gap[1]:
         raise ParameterError("gap", gap, "two times in seconds, the first before the second")
-    turns = {"turn": sim.round_robin()}
-    draw = sim.RangeDraw(sim.chamber(), corruptions=turns, rate_hz=rate_hz, n_points=rows)
+    draw = sim.RangeDraw(sim.chamber(), sim.WALK, {"turn": sim.round_robin()}, rate_hz, rows)
     return _drawn("imu", sim.ImuDraw(draw, gap_s=None if gap is None else (gap[0], gap[1])), n, seed, ids)
 
 
@@ -372,11 +367,9 @@ def agv(
     """
     from trackwright.sim.agv import ANCHOR_HEIGHT, FIX_ERRORS
 
-    def mirrored(share: float) -> Corruption:
-        return sim.mirrored_heights(ANCHOR_HEIGHT, share, 3.0)
-
+    mirrored = partial(sim.mirrored_heights, ANCHOR_HEIGHT)
     # Corruptions that depend on the true path come before those that add noise.
-    errors = _present({"late": (sim.delayed, latency), "mirrored": (mirrored, mirror)})
+    errors = _present({"late": (sim.delayed, latency), "mirrored": (mirrored, mirror, 3.0)})
     errors |= {**FIX_ERRORS, **_present({"wild": (sim.outliers, wild, 2.0)})}
     return _drawn("agv", sim.VehicleDraw(errors, speed=speed, rows=rows), n, seed, ids)
 

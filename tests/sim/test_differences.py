@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from trackwright.sim import worlds
-from trackwright.sim.corruptions import drop_outs, white_noise
-from trackwright.sim.ranging import CORNERS, DifferenceDraw, antenna_biases, chamber
+from trackwright.sim.corruptions import antenna_biases, drop_outs, white_noise
+from trackwright.sim.ranging import CORNERS, DifferenceDraw, chamber
 from trackwright.trackers.recordings.kinds import KINDS
 
 RIG = chamber(CORNERS)

@@ -2,22 +2,10 @@
 
 import numpy as np
 
+from trackwright.sim.corruptions import obstruction, on_anchors, round_robin
 from trackwright.sim.imu import ImuDraw, level
 from trackwright.sim.keys import trajectory_keys
-from trackwright.sim.ranging import (
-    CENTRE,
-    CHAMBER,
-    SPEED,
-    WANDER,
-    Protocol,
-    RangeDraw,
-    chamber,
-    obstruction,
-    on_anchors,
-    round_robin,
-    rounds,
-    two_way_ranges,
-)
+from trackwright.sim.ranging import CENTRE, CHAMBER, SPEED, WANDER, Protocol, RangeDraw, chamber, rounds, two_way_ranges
 from trackwright.trackers.parts.ranges import range_trajectories
 from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT
 

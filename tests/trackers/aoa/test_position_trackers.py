@@ -31,7 +31,7 @@ WORLDS = {
 
 
 def _recordings(pieces):
-    world = PhaseDraw(RIG, "hand", pieces, SIGMA_P, n_points=ROWS).drawn(TAGS, 5)
+    world = PhaseDraw(RIG, "hand", pieces, n_points=ROWS, sigma_p=SIGMA_P).drawn(TAGS, 5)
     made = []
     for phases, seen, position in zip(world.phases, world.seen, world.positions, strict=True):
         readings = {name: Readings(phases[:, k], seen[:, k]) for k, name in enumerate(RIG.stations)}

@@ -8,8 +8,9 @@ import pytest
 
 from tests.trackers.recordings.checks.made import with_columns
 from trackwright.sim import worlds
+from trackwright.sim.corruptions import round_robin
 from trackwright.sim.imu import ImuDraw
-from trackwright.sim.ranging import RangeDraw, chamber, round_robin
+from trackwright.sim.ranging import RangeDraw, chamber
 from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.rig import Tag

@@ -7,8 +7,9 @@ import numpy as np
 import polars as pl
 import pytest
 
+from trackwright.sim.corruptions import round_robin
 from trackwright.sim.imu import ImuDraw
-from trackwright.sim.ranging import RangeDraw, chamber, round_robin
+from trackwright.sim.ranging import RangeDraw, chamber
 from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.rig import Rig, Tag

@@ -13,7 +13,8 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES, Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
 from trackwright.experiments.text.expectations import listed
-from trackwright.sim.ranging import Protocol, RangeDraw, antenna_biases, chamber
+from trackwright.sim.corruptions import antenna_biases
+from trackwright.sim.ranging import Protocol, RangeDraw, chamber
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 PLACES = {f"tag at ({x:g}, {y:g})": (x, y, 1.8) for x in (0.0, 5.0) for y in (0.0, 5.0)}

@@ -15,8 +15,8 @@ from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
 from trackwright.experiments.lab.papers.kwon_2021.chamber import PROTOCOL
 from trackwright.experiments.text.expectations import listed
-from trackwright.sim.corruptions import Corruption, gauss_markov
-from trackwright.sim.ranging import RangeDraw, chamber, obstruction, on_anchors
+from trackwright.sim.corruptions import Corruption, gauss_markov, obstruction, on_anchors
+from trackwright.sim.ranging import RangeDraw, chamber
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 HALL = np.array([[0.0, 0.0, 1.8], [8.0, 0.0, 1.8], [0.0, 8.0, 1.8]])

@@ -14,9 +14,10 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL, Printed
 from trackwright.experiments.lab.papers.kwon_2021.chamber import NUMBERS, PROTOCOL, anchors, deviations
 from trackwright.experiments.text.expectations import fixed_interval, listed
+from trackwright.sim.corruptions import antenna_biases
 from trackwright.sim.imu import ImuDraw, level
 from trackwright.sim.keys import Keys
-from trackwright.sim.ranging import RangeDraw, antenna_biases, chamber
+from trackwright.sim.ranging import RangeDraw, chamber
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 LOW, HIGH = np.array([2.80, 2.71, 1.50]), np.array([3.19, 3.09, 1.89])

@@ -14,9 +14,9 @@ import numpy as np
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import RAW, Printed, window
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
-from trackwright.sim.corruptions import gauss_markov
-from trackwright.sim.imu import ImuDraw, constant_bias, level, white_density
-from trackwright.sim.ranging import Protocol, RangeDraw, chamber, on_anchors
+from trackwright.sim.corruptions import constant_bias, gauss_markov, on_anchors, white_density
+from trackwright.sim.imu import ImuDraw, level
+from trackwright.sim.ranging import Protocol, RangeDraw, chamber
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.recordings.folder import RecordingFolder
 

@@ -95,7 +95,7 @@ def recorded(
     if outlying:
         corruptions["outliers"] = outliers(outlying, size)
     rig, points = stand(NUMBERS, radius, aperture), round(POINTS * rate_hz / RATE_HZ)
-    draw = PhaseDraw(rig, HELIX, corruptions, NUMBERS["sigma_p"], rate_hz, points, wave)
+    draw = PhaseDraw(rig, HELIX, corruptions, rate_hz, points, NUMBERS["sigma_p"], wave)
     return draw.drawn(ids, seed).folder("work stand")
 
 
