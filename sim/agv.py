@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from trackwright.sim.corruptions import Corruption, correlated_noise, corrupted, gauss_markov, outliers
 from trackwright.sim.keys import Keys, namespace, stream, uniforms
-from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
+from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -84,41 +83,24 @@ class Route:
         return np.cumsum([a / 2, c, b, c, a, c, b, c, a / 2])
 
 
-@dataclass(frozen=True)
-class SimulatedFixes:
-    """Fixes of n tags at T times with their truth: m and s; `route`: the designed one; `ids`: the trajectory ids.
+class VehicleDraw(AbstractDraw):
+    """Vehicles at rest at a random position on the route that accelerate at 1 m/s² and keep `speed`, also in corners.
 
-    `draw`: what drew them.
+    `errors`: corruptions of the fixes by name, in order. `rows`: fixes of each. Its arrays: `positions`, `fixes`
+    (n, T, 3) m, where `seen`. Raises ValueError for a speed or corners beyond the limits of the paper's vehicle.
     """
 
-    times: Float[np.ndarray, " T"]
-    positions: Float[np.ndarray, "n T 3"]
-    fixes: Float[np.ndarray, "n T 3"]
-    seen: Bool[np.ndarray, "n T 3"]
-    route: Float[np.ndarray, "k 2"]
-    anchors: dict[str, Float[np.ndarray, " 3"]]
-    ids: Int[np.ndarray, " n"]
-    draw: VehicleDraw
-
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder: fixes and truth in space, the designed route as the rig's path."""
-        fixes = self.fixes if self.seen.all() else np.where(self.seen, self.fixes, np.nan)
-        tables = {
-            name: ArrayRows.regular(self.times, self.ids, {AXES: values})
-            for name, values in (("fixes", fixes), ("truth", self.positions))
-        }
-        return folder_of(name, tables, self.ids, self.draw, anchors=self.anchors, path_knots=self.route)
-
-
-class VehicleDraw(AbstractDraw):
-    """Vehicles on a route: see `simulate_agv`."""
-
-    errors: tuple[tuple[str, Corruption], ...]
-    route: Route = eqx.field(static=True)
-    speed: float = eqx.field(static=True)
-    rows: int = eqx.field(static=True)
+    errors: Mapping[str, Corruption] = by_name(default_factory=lambda: FIX_ERRORS)
+    route: Route = static(default=Route())
+    speed: float = static(default=0.5)
+    rows: int = static(default=2000)
 
     measured = MappingProxyType({"fixes": "seen"})
+
+    def __check_init__(self) -> None:
+        radius = self.route.radius
+        if not 0 < self.speed <= min(LARGEST_SPEED, (LARGEST_ACCELERATION * radius) ** 0.5):
+            raise ValueError(f"speed {self.speed} m/s: the vehicle reaches 2 m/s, and 2 m/s² in corners of {radius} m")
 
     @property
     def times(self) -> Float[np.ndarray, " T"]:
@@ -132,30 +114,13 @@ class VehicleDraw(AbstractDraw):
         floor = self.route.at(start + covered)
         xp = namespace(floor)
         positions = xp.concatenate([floor, xp.full_like(floor[..., :1], TAG_HEIGHT)], axis=-1)
-        fixes, seen = corrupted(self.errors, keys, times, positions, np.ones(positions.shape, bool))
+        fixes, seen = corrupted(self.errors, keys, times, positions)
         return {"positions": positions, "fixes": fixes, "seen": seen}
 
-    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedFixes:
+    def folder(self, world: SimulatedWorld) -> RecordingFolder:
+        """Fixes and truth in space, the designed route as the rig's path."""
         half = np.array([self.route.width, self.route.depth]) / 2 + 1.0
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
         anchors = {str(k + 1): np.array([*c, ANCHOR_HEIGHT]) for k, c in enumerate(corners)}
-        return SimulatedFixes(self.times, **arrays, route=self.route.knots(), anchors=anchors, ids=ids, draw=self)
-
-
-def simulate_agv(
-    n: int | Sequence[int] | np.ndarray = 1,
-    seed: int = 0,
-    *,
-    route: Route = Route(),
-    speed: float = 0.5,
-    rows: int = 2000,
-    errors: Mapping[str, Corruption] = FIX_ERRORS,
-) -> SimulatedFixes:
-    """Vehicles at rest at a random position on the route that accelerate at 1 m/s² and keep `speed`, also in corners.
-
-    `n`: number of trajectories, or their ids. `errors`: corruptions of the fixes by name, in order. Raises
-    ValueError for a speed or corners beyond the limits of the paper's vehicle.
-    """
-    if not 0 < speed <= min(LARGEST_SPEED, (LARGEST_ACCELERATION * route.radius) ** 0.5):
-        raise ValueError(f"speed {speed} m/s: the vehicle reaches 2 m/s, and 2 m/s² in corners of {route.radius} m")
-    return VehicleDraw(tuple(errors.items()), route, speed, rows).drawn(n, seed)
+        fixes = ArrayRows(world.times, world.ids, {AXES: np.where(world.seen, world.arrays["fixes"], np.nan)})
+        return world.recorded({"fixes": fixes, "truth": world.truth()}, anchors=anchors, path_knots=self.route.knots())

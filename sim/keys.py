@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Float32, Int, Key, Shaped, UInt32
+from jaxtyping import Float, Float32, Key, UInt32
 
 from trackwright.trackers.core.model.keys import threefry
 
@@ -24,11 +24,6 @@ Keys = Key[jax.Array, " n"]
 """Typed keys of JAX, one per trajectory."""
 
 _GENERATOR = "threefry2x32"
-
-
-def trajectory_ids(n: int | Sequence[int] | np.ndarray) -> Int[np.ndarray, " n"]:
-    """The ids of trajectories of which their number is given, 0 … n − 1, or their ids."""
-    return np.arange(n) if isinstance(n, int | np.integer) else np.asarray(n)
 
 
 def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
@@ -90,50 +85,19 @@ def _drawn(draw: Callable[[Keys, int], jax.Array], keys: Keys, size: int) -> Flo
     return jax.lax.map(lambda block: draw(block, size), by_block).reshape(-1, size)[:n].astype(float)
 
 
-def in_blocks(
-    draw: Callable[..., dict[str, np.ndarray]], keys: Keys, *arrays: Shaped[np.ndarray, "n ..."], size: int = 256
-) -> dict[str, Shaped[np.ndarray, "n ..."]]:
-    """The arrays (n, …) of `draw(keys, *arrays)`, drawn for `size` trajectories at a time, which fit the cache.
-
-    All blocks have one shape, the last one padded: nothing is compiled twice.
-    """
-    count = len(keys)
-    if count <= size:
-        return draw(keys, *arrays)
-    data = np.asarray(jax.random.key_data(keys))
-    whole: dict[str, np.ndarray] = {}
-    for first in range(0, count, size):
-        rows = np.minimum(np.arange(first, first + size), count - 1)
-        block = draw(jax.random.wrap_key_data(jnp.asarray(data[rows]), impl=_GENERATOR), *(x[rows] for x in arrays))
-        whole = whole or {name: np.empty((count, *x.shape[1:]), x.dtype) for name, x in block.items()}
-        for name, rows_of in block.items():
-            whole[name][first : first + size] = rows_of[: count - first]
-    return whole
-
-
-@jax.jit
-def _fold_each(key: Key[jax.Array, ""], numbers: UInt32[jax.Array, " n"]) -> Keys:
-    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, numbers)
-
-
-@jax.jit
-def _fold_name(keys: Keys, number: np.uint32) -> Keys:
-    return jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, number)
+_fold_each = jax.jit(jax.vmap(jax.random.fold_in, in_axes=(None, 0)))
+_fold_name = jax.jit(jax.vmap(jax.random.fold_in, in_axes=(0, None)))
 
 
 @partial(jax.jit, static_argnums=1)
 def _normals(keys: Keys, size: int) -> Float32[jax.Array, "n size"]:
     least = np.nextafter(np.float32(-1), np.float32(0))
-    inside = jnp.maximum(least, _unit(keys, size) * (np.float32(1) - least) + least)
+    inside = jnp.maximum(least, _uniforms(keys, size) * (np.float32(1) - least) + least)
     return np.float32(np.sqrt(2)) * jax.lax.erf_inv(inside)
 
 
 @partial(jax.jit, static_argnums=1)
 def _uniforms(keys: Keys, size: int) -> Float32[jax.Array, "n size"]:
-    return _unit(keys, size)
-
-
-def _unit(keys: Keys, size: int) -> Float32[jax.Array, "n size"]:
     """The numbers of `jax.random.uniform`, which takes six times as long on a CPU: its generator passes five times."""
     key = jnp.moveaxis(jax.random.key_data(keys), -1, 0)[..., None]
     number = jnp.arange(size, dtype=jnp.uint32)[None]

@@ -7,7 +7,7 @@ A path is a function of keys (n,) and times (T,) in seconds, which rise but need
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from types import MappingProxyType
 from typing import Any
 
@@ -94,6 +94,12 @@ def point_to_point(
         path += (s**3 * (10 - 15 * s + 6 * s**2))[..., None] * motions[:, k, None]
     return path
 
+
+WALK_VOLUME = np.array([[0.8, 0.8, 0.8], [4.2, 4.2, 1.6]])
+"""The volume of the tags' paths in the paper's chamber, lower and upper corner, m."""
+
+WALK: PathFunction = partial(hand_motion, volume=WALK_VOLUME, speed=0.5)
+"""Smooth random motion through that volume at 0.5 m/s."""
 
 PATHS: Mapping[str, PathFunction] = MappingProxyType({"helix": helix, "hand": hand_motion})
 """Paths in the work volume by name."""

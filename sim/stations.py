@@ -8,22 +8,23 @@ ideal phases.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Literal
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int
+from jaxtyping import Float
 
-from trackwright.sim.corruptions import Corruption, corrupted, white_noise
-from trackwright.sim.keys import Keys, in_dtype, namespace, stream, uniforms
-from trackwright.sim.paths import PATHS, WORK_VOLUME, PathFunction
-from trackwright.sim.ranging import RangeDraw, SimulatedRanges
-from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, folder_of
+from trackwright.sim.corruptions import Corruption, corrupted
+from trackwright.sim.keys import Keys, in_dtype, namespace, normals, stream, uniforms
+from trackwright.sim.paths import WORK_VOLUME, PathFunction
+from trackwright.sim.ranging import RangeDraw
+from trackwright.sim.tables import AbstractDraw, AbstractRigDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.aoa.phases import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.recordings.folder import RecordingFolder
+
+Phases = Float[Any, "*rows stations antennas"]
 
 _BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
@@ -34,9 +35,7 @@ def wrapped(angle: Float[Any, "*shape"]) -> Float[Any, "*shape"]:
     return angle - turn * namespace(angle).ceil(angle / turn - 0.5)
 
 
-def spherical_phases(
-    stations: Sequence[Station], positions: Float[Any, "*rows 3"]
-) -> Float[Any, "*rows stations antennas"]:
+def spherical_phases(stations: Sequence[Station], positions: Float[Any, "*rows 3"]) -> Phases:
     """Phases (..., stations, antennas), rad in (-pi, pi], of spherical waves from beacons at positions (..., 3), m.
 
     The phase of antenna i is -2 pi / lambda times its distance from the beacon. Raises ValueError for stations without
@@ -49,9 +48,7 @@ def spherical_phases(
     return wrapped(distances * (-2 * np.pi / wavelengths[:, None]))
 
 
-def plane_phases(
-    stations: Sequence[Station], positions: Float[Any, "*rows 3"]
-) -> Float[Any, "*rows stations antennas"]:
+def plane_phases(stations: Sequence[Station], positions: Float[Any, "*rows 3"]) -> Phases:
     """Phases (..., stations, antennas) of plane waves, equation (9): 2 pi / lambda * p_i . u.
 
     An approximation for distant beacons; for worlds in which a tracker's model is exact. Shapes, units and errors as in
@@ -84,74 +81,43 @@ def antenna_arrays(
 WAVES = MappingProxyType({"spherical": spherical_phases, "plane": plane_phases})
 
 
-@dataclass(frozen=True)
-class SimulatedPhases:
-    """Phases of n beacons at T times with their truth.
+class PhaseDraw(AbstractRigDraw):
+    """Phases at all stations of the rig along a path, at `n_points` times: of a spherical (or plane) wave.
 
-    `times` (T,) s; `positions` (n, T, 3) m, float64; `phases` (n, T, stations, antennas) rad in (-pi, pi], float32,
-    zero where not `seen`; stations in the order of `rig.stations`; `ids` (n,): the trajectory ids; `draw`: what drew
-    them.
+    Each row of a station has a random common offset, each phase white noise of `sigma_p` rad. `path`: a name of `PATHS`
+    or a function. `corruptions`: by name, in order. Its arrays: `positions` (n, T, 3) m, float64; `phases` (n, T,
+    stations, antennas) rad in (-pi, pi], float32, where `seen`, stations in the order of the rig. Raises ValueError for
+    stations without arrays.
     """
 
-    times: Float[np.ndarray, " T"]
-    positions: Float64[np.ndarray, "n T 3"]
-    phases: Float32[np.ndarray, "n T stations antennas"]
-    seen: Bool[np.ndarray, "n T stations antennas"]
-    rig: Rig
-    ids: Int[np.ndarray, " n"]
-    draw: PhaseDraw
-
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder: a row of phases per tag, time and station with at least one, and truth in space."""
-        heard = self.seen.any(axis=-1)
-        tag, row, station = np.nonzero(heard)
-        values = self.phases.astype(np.float64).reshape(-1, self.phases.shape[-1])
-        if not self.seen.all():
-            values[~self.seen.reshape(values.shape)] = np.nan
-            values = values[heard.ravel()]
-        phases = ArrayRows.of_entries(
-            tag,
-            self.ids,
-            self.times[row],
-            {tuple(f"phase_{k + 1}_rad" for k in range(values.shape[1])): values},
-            {"station": (station, list(self.rig.stations))},
-        )
-        tables = {"phases": phases, "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
-        return folder_of(name, tables, self.ids, self.draw, stations=self.rig.stations)
-
-
-class PhaseDraw(AbstractDraw):
-    """Phases at the stations of a rig: see `simulate_phases`."""
-
-    noise: tuple[tuple[str, Corruption], ...]
-    corruptions: tuple[tuple[str, Corruption], ...]
-    rig: Rig = eqx.field(static=True)
-    path: PathFunction = eqx.field(static=True)
-    wave: str = eqx.field(static=True)
-    rate_hz: float = eqx.field(static=True)
-    n_points: int = eqx.field(static=True)
+    path: str | PathFunction = static(default="helix")
+    sigma_p: float = 0.1
+    wave: Literal["spherical", "plane"] = static(default="spherical")
 
     measured = MappingProxyType({"phases": "seen"})
     size = 64
 
-    @property
-    def times(self) -> Float[np.ndarray, " T"]:
-        return np.arange(self.n_points) / self.rate_hz
+    def __check_init__(self) -> None:
+        antenna_arrays(list(self.rig.stations.values()))
 
     def arrays(self, keys: Keys) -> dict[str, Any]:
         times, stations = self.times, list(self.rig.stations.values())
-        positions = self.path(stream(keys, "path"), times)
+        positions = self.positions(keys, times)
         common = uniforms(stream(keys, "common phase"), (self.n_points, len(stations)))
         values = WAVES[self.wave](stations, positions) + 2 * np.pi * in_dtype(common, positions)[..., None]
-        values, seen = corrupted(self.noise, keys, times, values.astype(np.float32), np.ones(values.shape, bool))
-        values, seen = corrupted(self.corruptions, stream(keys, "corruptions"), times, values, seen)
+        values = values.astype(np.float32)
+        values = values + in_dtype(self.sigma_p * normals(stream(keys, "phase noise"), values.shape[1:]), values)
+        values, seen = corrupted(self.corruptions, stream(keys, "corruptions"), times, values)
         # In float32, pi is rounded up: the clip keeps the values in (-pi, pi].
         values = namespace(values).clip(wrapped(values.astype(float)).astype(np.float32), -_BELOW_PI, _BELOW_PI)
         return {"positions": positions, "phases": values, "seen": seen}
 
-    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedPhases:
-        phases = np.where(arrays["seen"], arrays["phases"], np.float32(0))
-        return SimulatedPhases(self.times, **arrays | {"phases": phases}, rig=self.rig, ids=ids, draw=self)
+    def rows(self, world: SimulatedWorld) -> dict[str, ArrayRows]:
+        """A row per tag, time and station with at least one phase."""
+        values = np.where(world.seen, world.arrays["phases"].astype(np.float64), np.nan)
+        columns = {tuple(f"phase_{k + 1}_rad" for k in range(values.shape[-1])): values}
+        stations = {"station": (np.arange(len(self.rig.stations)), [*self.rig.stations])}
+        return {"phases": ArrayRows(world.times, world.ids, columns, world.seen.any(axis=-1), stations)}
 
 
 def work_station(antennas: Float[np.ndarray, "n 2"] | None = None, radius: float = 0.4) -> Rig:
@@ -199,82 +165,23 @@ def facing(
     return row / np.linalg.norm(row)
 
 
-def simulate_phases(
-    rig: Rig,
-    path: str | PathFunction = "helix",
-    n: int | Sequence[int] | np.ndarray = 1,
-    seed: int = 0,
-    *,
-    rate_hz: float = 10.0,
-    n_points: int = 200,
-    sigma_p: float = 0.1,
-    wave: Literal["spherical", "plane"] = "spherical",
-    corruptions: Mapping[str, Corruption] = MappingProxyType({}),
-) -> SimulatedPhases:
-    """Trajectories, `n` or with the ids `n`, of `n_points` rows of phases at all stations of the rig, with truth.
-
-    Phases of a spherical (or plane) wave, a random common offset per row and station, white noise of `sigma_p` rad.
-    `corruptions`: by name, which is the random stream, in order. A trajectory depends on the seed and its id alone.
-    Raises ValueError for stations without arrays.
-    """
-    antenna_arrays(list(rig.stations.values()))
-    noise = {} if isinstance(sigma_p, float | int) and sigma_p <= 0 else {"phase noise": white_noise(sigma_p)}
-    move = PATHS[path] if isinstance(path, str) else path
-    how = rig, move, wave, rate_hz, n_points
-    return PhaseDraw(tuple(noise.items()), tuple(corruptions.items()), *how).drawn(n, seed)
-
-
 def with_stations(rig: Rig, centre: Float[np.ndarray, " 3"], count: int) -> Rig:
     """The rig with stations at its first `count` anchors, by their names, that face `centre`, m."""
     places = list(rig.anchors.items())[:count]
     return replace(rig, stations={name: Station(p, facing(p, centre, (0.0, 0.0, 1.0))) for name, p in places})
 
 
-@dataclass(frozen=True)
-class SimulatedFusion:
-    """Ranges of n tags at T times, and azimuth and elevation at S stations of the same rig.
+class FusionDraw(AbstractDraw):
+    """Ranges, and azimuth and elevation at the stations of the same rig.
 
-    `angles` (n, T, 2·S) rad, of each station in the order of `rig.stations`, where `seen`.
+    `of_angles`: corruptions of the angles by name, in order. Its arrays: those of the ranges; `angles` (n, T,
+    2·stations) rad, where `heard`, azimuth and elevation of each station in the order of the rig.
     """
 
-    ranges: SimulatedRanges
-    angles: Float[np.ndarray, "n T angles"]
-    seen: Bool[np.ndarray, "n T angles"]
-    draw: FusionDraw
-
-    @property
-    def ids(self) -> Int[np.ndarray, " n"]:
-        """The trajectory ids."""
-        return self.ranges.ids
-
-    def rows(self) -> ArrayRows:
-        """A row per azimuth and elevation of a station."""
-        tag, row, station = np.nonzero(self.seen[..., ::2])
-        values = np.stack([self.angles[tag, row, 2 * station + k] for k in range(2)], axis=1)
-        return ArrayRows.of_entries(
-            tag,
-            self.ids,
-            self.ranges.times[row],
-            {("azimuth_rad", "elevation_rad"): values.astype(float)},
-            {"station": (station, list(self.ranges.rig.stations))},
-        )
-
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder: a row per range and per pair of angles, and truth in space."""
-        measured = self.ranges
-        truth = ArrayRows.regular(measured.times, self.ids, {AXES: measured.positions})
-        tables = {"ranges": measured.rows(), "bearings": self.rows(), "truth": truth}
-        rig = measured.rig
-        return folder_of(name, tables, self.ids, self.draw, anchors=rig.anchors, stations=rig.stations)
-
-
-class FusionDraw(AbstractDraw):
-    """Ranges, and angles at the stations of their rig: see `simulate_fusion`."""
-
     ranges: RangeDraw
-    corruptions: tuple[tuple[str, Corruption], ...]
+    of_angles: Mapping[str, Corruption] = by_name(default_factory=dict)
 
-    measured = MappingProxyType({"ranges": "heard", "angles": "seen"})
+    measured = MappingProxyType({"ranges": "seen", "angles": "heard"})
     size = 32
 
     @property
@@ -282,27 +189,15 @@ class FusionDraw(AbstractDraw):
         return self.ranges.times
 
     def arrays(self, keys: Keys) -> dict[str, Any]:
-        ranged = self.ranges(keys)
-        ranged["heard"] = ranged.pop("seen")
-        stations, xp = self.ranges.rig.stations.values(), namespace(ranged["positions"])
+        ranged, stations = self.ranges(keys), self.ranges.rig.stations.values()
+        xp = namespace(ranged["positions"])
         angles = xp.concatenate([station.angles(ranged["positions"]) for station in stations], axis=2)
-        keys, all_seen = stream(stream(keys, "angles"), "corruptions"), np.ones(angles.shape, bool)
-        angles, seen = corrupted(self.corruptions, keys, self.times, angles, all_seen)
-        return {**ranged, "angles": angles, "seen": seen}
+        angles, heard = corrupted(self.of_angles, stream(stream(keys, "angles"), "corruptions"), self.times, angles)
+        return {**ranged, "angles": angles, "heard": heard}
 
-    def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"]) -> SimulatedFusion:
-        of_ranges = {"positions": arrays["positions"], "ranges": arrays["ranges"], "seen": arrays["heard"]}
-        return SimulatedFusion(self.ranges.world(of_ranges, ids), arrays["angles"], arrays["seen"], self)
-
-
-def simulate_fusion(
-    ranges: RangeDraw,
-    n: int | Sequence[int] | np.ndarray,
-    seed: int,
-    corruptions: Mapping[str, Corruption] = MappingProxyType({}),
-) -> SimulatedFusion:
-    """Trajectories with ranges, and with angles at the stations of their rig.
-
-    `corruptions`: of the angles (n, T, 2·S), rad, by name, which is the random stream, in order.
-    """
-    return FusionDraw(ranges, tuple(corruptions.items())).drawn(n, seed)
+    def folder(self, world: SimulatedWorld) -> RecordingFolder:
+        """A row per range and per pair of angles, and truth in space."""
+        heard, names = world.heard[..., ::2], [*self.ranges.rig.stations]
+        columns = {("azimuth_rad", "elevation_rad"): world.arrays["angles"].reshape(*heard.shape, 2)}
+        stations = {"station": (np.arange(len(names)), names)}
+        return self.ranges.folder(world, bearings=ArrayRows(world.times, world.ids, columns, heard, stations))

@@ -79,9 +79,9 @@ def test_a_lost_station_has_no_measurements_from_its_start_until_before_its_end(
 def test_adding_a_corruption_changes_no_noise_of_another():
     some = {"noise": white_noise(0.1), "drop-outs": drop_outs(0.1, 0.5)}
     more = {"drift": gauss_markov(1.0, 2.0), "wild": outliers(0.1, 3.0), **some, "second noise": white_noise(0.1)}
-    without = corrupted(some.items(), KEYS, TIMES, CLEAN, SEEN)
-    within = corrupted(more.items(), KEYS, TIMES, CLEAN, SEEN)
-    others = corrupted([(k, more[k]) for k in ("drift", "wild", "second noise")], KEYS, TIMES, CLEAN, SEEN)
+    without = corrupted(some, KEYS, TIMES, CLEAN, SEEN)
+    within = corrupted(more, KEYS, TIMES, CLEAN, SEEN)
+    others = corrupted({k: more[k] for k in ("drift", "wild", "second noise")}, KEYS, TIMES, CLEAN, SEEN)
     # Sums of float32 numbers of size 10.
     np.testing.assert_allclose(within[0] - others[0], without[0], atol=1e-5)
     assert np.array_equal(within[1], without[1])

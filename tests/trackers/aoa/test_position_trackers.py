@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trackwright.sim import corruptions
-from trackwright.sim.stations import facing, simulate_phases, work_station
+from trackwright.sim.stations import PhaseDraw, facing, work_station
 from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import bearing_inputs
@@ -32,7 +32,7 @@ WORLDS = {
 
 
 def _recordings(pieces):
-    world = simulate_phases(RIG, "hand", TAGS, 5, n_points=ROWS, sigma_p=SIGMA_P, corruptions=pieces)
+    world = PhaseDraw(RIG, "hand", pieces, n_points=ROWS, sigma_p=SIGMA_P).drawn(TAGS, 5)
     made = []
     for phases, seen, position in zip(world.phases, world.seen, world.positions, strict=True):
         readings = {name: Readings(phases[:, k], seen[:, k]) for k, name in enumerate(RIG.stations)}

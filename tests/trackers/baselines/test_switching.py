@@ -8,7 +8,7 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
-from trackwright.sim.agv import simulate_agv
+from trackwright.sim.agv import VehicleDraw
 from trackwright.sim.corruptions import correlated_noise, mirrored_heights
 from trackwright.trackers.baselines.rows import mirror_trajectories
 from trackwright.trackers.baselines.switching import MirrorSensor, mirror_tracker
@@ -150,7 +150,7 @@ def test_a_track_starts_on_the_side_of_its_first_fix(climbing):
 @pytest.mark.slow
 def test_a_track_is_robust_to_heights_mirrored_for_seconds():
     errors = {"mirror": mirrored_heights(2.5, 0.3, 3.0), "noise": correlated_noise(STILL)}
-    world = simulate_agv([0, 1, 2], rows=400, errors=errors)
+    world = VehicleDraw(errors, rows=400).drawn(3)
     assert not (world.fixes[:, 0, 2] > 2.5).any()  # every track starts on the true side
     trajectories = list(mirror_trajectories(world.folder("flips"), True))
     tracker = mirror_tracker(offset=0.0, shrink=1.0, sigma_vertical=0.1, sigma_z=0.3)

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackwright.sim.line import simulate_line
+from trackwright.sim.line import LineDraw
 from trackwright.trackers.catalogue import TRACKERS, spec_of
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.evaluation.evaluate import evaluate
@@ -28,7 +28,7 @@ def _tracked(folders, name):
 
 @pytest.fixture(scope="module")
 def folders():
-    worlds = {s: simulate_line(s, TAGS, seed=1) for s in SITUATIONS}
+    worlds = {s: LineDraw(s).drawn(TAGS, seed=1) for s in SITUATIONS}
     return [world.folder(name) for name, world in worlds.items()]
 
 
@@ -79,7 +79,7 @@ LARGEST = {"ngbui-line-1-1": 0.045, "ngbui-line-2-1": 0.10, "ngbui-line-3-1": 0.
 
 @pytest.mark.slow
 def test_the_halting_motion_overshoots_rests_less(monkeypatch):
-    world = simulate_line("halts", 24, seed=9)
+    world = LineDraw("halts").drawn(24, seed=9)
     folder, overshoot = world.folder("halts"), {}
     for make in (LineMotion, HaltingMotion):
         monkeypatch.setattr(line, "line_motion", lambda path, make=make: make(path, 0.05))
