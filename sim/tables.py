@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -151,32 +151,40 @@ class AbstractDraw(eqx.Module):
 
     def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"], name: str = "world") -> SimulatedWorld:
         """The simulated world of these arrays."""
-        return SimulatedWorld(name, self, arrays, ids)
+        return SimulatedWorld(name, self, ids, given=arrays)
 
     def drawn(self, n: int | Sequence[int] | np.ndarray = 1, seed: int = 0, name: str = "world") -> SimulatedWorld:
         """The world of `n` trajectories, or of those with the ids `n`, each a function of the seed and its id alone."""
-        ids, arrays = np.arange(n) if isinstance(n, int | np.integer) else np.asarray(n), dict[str, np.ndarray]()
-        # In blocks that fit the cache, all of one shape, so that nothing is compiled twice.
-        size = min(self.size, len(ids))
-        for first in range(0, len(ids), size):
-            block = self(trajectory_keys(seed, ids[np.minimum(np.arange(first, first + size), len(ids) - 1)]))
-            arrays = arrays or {array: np.empty((len(ids), *x.shape[1:]), x.dtype) for array, x in block.items()}
-            for array, x in block.items():
-                arrays[array][first : first + size] = x[: len(ids) - first]
-        return self.world(arrays, ids, name)
+        return SimulatedWorld(name, self, np.arange(n) if isinstance(n, int | np.integer) else np.asarray(n), seed)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulatedWorld:
-    """Simulated trajectories with truth: the arrays (n, …) of their draw by name, which are attributes, too.
+    """Simulated trajectories with truth, drawn when they are first used: the arrays of their draw are attributes.
 
-    As attributes, readings that are not seen are zero. `name`: of the recording folder; `ids` (n,).
+    As attributes, readings that are not seen are zero. `name`: of the recording folder; `ids` (n,) and `seed`: of the
+    trajectories; `given`: their arrays, if these are known.
     """
 
     name: str
     draw: AbstractDraw
-    arrays: Mapping[str, np.ndarray]
     ids: Int[np.ndarray, " n"]
+    seed: int = 0
+    given: Mapping[str, np.ndarray] | None = None
+
+    @cached_property
+    def arrays(self) -> Mapping[str, np.ndarray]:
+        """The arrays (n, …) of the draw by name, drawn in blocks that fit the cache."""
+        arrays: dict[str, np.ndarray] = {}
+        # All blocks have one shape, so that nothing is compiled twice.
+        n, size = len(self.ids), min(self.draw.size, len(self.ids))
+        for first in range(0, 0 if self.given is not None else n, size):
+            ids = self.ids[np.minimum(np.arange(first, first + size), n - 1)]
+            block = self.draw(trajectory_keys(self.seed, ids))
+            arrays = arrays or {array: np.empty((n, *x.shape[1:]), x.dtype) for array, x in block.items()}
+            for array, x in block.items():
+                arrays[array][first : first + size] = x[: n - first]
+        return self.given or arrays
 
     @property
     def times(self) -> Float[np.ndarray, " T"]:
@@ -184,7 +192,7 @@ class SimulatedWorld:
         return self.draw.times
 
     def __getattr__(self, name: str) -> np.ndarray:
-        arrays = self.__dict__.get("arrays", {})
+        arrays = self.arrays if "draw" in self.__dict__ else {}
         if name not in arrays:
             raise AttributeError(f"a simulated world has no array {name!r}; it has {', '.join(arrays)}")
         values, mask = arrays[name], self.draw.measured.get(name)

@@ -71,7 +71,8 @@ def checked(world: Callable[P, SimulatedWorld]) -> Callable[P, SimulatedWorld]:
             kind, *allowed = get_args(hints[name]) or (hints[name],)
             if get_origin(hints[name]) is Literal and value not in get_args(hints[name]):
                 raise ParameterError(name, value, f"one of {', '.join(get_args(hints[name]))}")
-            for of in (x for x in allowed if isinstance(x, Range)):
+            # A traced level has no value to check.
+            for of in (x for x in allowed if isinstance(x, Range) and not hasattr(value, "aval")):
                 number = isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
                 if not (number and of.low <= value <= of.high) or (of.open and value == of.high):
                     raise ParameterError(name, value, f"a {'whole ' if kind is int else ''}number {of}")
@@ -280,7 +281,11 @@ def _errors_of_anchors(bias: float, drift: float, hidden: float, sigma: float, l
 
 def _present(levels: Mapping[str, tuple[Any, ...]]) -> dict[str, Corruption]:
     """The corruptions by name, each given as its maker, its level and further numbers, whose level is above zero."""
-    return {name: make(level, *more) for name, (make, level, *more) in levels.items() if level > 0}
+    return {name: make(level, *more) for name, (make, level, *more) in levels.items() if _is_present(level)}
+
+
+def _is_present(level: Any) -> bool:
+    return hasattr(level, "aval") or level > 0
 
 
 @checked

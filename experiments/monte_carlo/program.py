@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -20,13 +22,16 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from trackwright.experiments.monte_carlo.scores import Scores, arrays_of, cells, sums
 from trackwright.sim.keys import keys_of, trajectory_keys
-from trackwright.sim.tables import AbstractDraw, SimulatedTables, as_numpy
+from trackwright.sim.tables import AbstractDraw, SimulatedTables, SimulatedWorld, as_numpy
+from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.data.estimates import Status, is_usable
 from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.algebra import triangle
 from trackwright.trackers.core.model.rig import Station, angles_in_array
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.state import component_names
+from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.programs.traced_programs import Program, compiled_program, kept_program
@@ -216,7 +221,9 @@ def piece_of(n: int) -> int:
 
 def part_of(seed: int, ids: np.ndarray) -> Part:
     """The part of these trajectories."""
-    return Part(np.asarray(jax.random.key_data(jax.random.key(seed, impl="threefry2x32"))), ids.astype(np.uint32))
+    with jax.ensure_compile_time_eval():
+        key = np.asarray(jax.random.key_data(jax.random.key(seed, impl="threefry2x32")))
+    return Part(key, ids.astype(np.uint32))
 
 
 def compiled(
@@ -232,18 +239,50 @@ def compiled(
     draw = folder.tables.draw if isinstance(folder.tables, SimulatedTables) else None
     if draw is None or not draw.measured:
         raise UnfitError("the world has no draw")
-    probes = [_probe(draw, folder.name, number, batches) for number in range(3)]
-    tracker = probes[0].batch.tracker.for_positions()
-    if getattr(getattr(tracker, "filter", None), "has_particle_axis", False):
-        raise UnfitError("the filter draws random numbers")
-    if getattr(tracker, "latency", None) not in (None, 0.0):
-        raise UnfitError("estimates are late")
-    rows = _rows(draw, probes, every)
-    model = as_dtype((draw, tracker, rows), jax.dtypes.canonicalize_dtype(float))
+    model = as_dtype((draw, *_understood(draw, folder.name, batches, every)), jax.dtypes.canonicalize_dtype(float))
     try:
         return ChunkProgram(model, _program(model, part))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
         raise UnfitError("the world is drawn in NumPy alone") from error
+
+
+def expected(
+    world: SimulatedWorld, tracker: str, metric: str = "rmse_m", values: Mapping[str, Any] = MappingProxyType({})
+) -> Any:
+    """The expected RMSE or mean size of a tracker's errors on a world, to differentiate by the numbers of both.
+
+    `world`: of `tw.simulate`, whose levels may be traced, with as many trajectories as the expectation is over; its
+    seed gives the same random numbers in every call. `tracker`: of the catalogue, with these `values` of its tunables by
+    name or pattern, which may be traced. `metric`: `rmse_` or `mean_` and a kind of error, as in `rmse_3d_m`. Whether
+    a reading is an outlier or lost, and where a search begins a track, has no derivative. Raises UnusableInput for
+    another metric, and for a tracker whose rows are no drawn numbers, as of ranges and bearings.
+    """
+    spec, plain = spec_of(tracker), jax.tree_util.tree_map(_any_number, world.draw)
+
+    def batches(folder: RecordingFolder) -> list[TrackerBatch]:
+        return [
+            replace(batch, tracker=with_values(batch.tracker, values, f"tracker '{tracker}'"))
+            for batch in spec.batches([folder], tracker)
+        ]
+
+    try:
+        understood = _understood(plain, world.name, batches, None)
+    except UnfitError as error:
+        raise UnusableInput(f"expected: tracker '{tracker}' on {world.name}: {error}; run a study") from error
+    # Not known to the compiler, which would draw constants.
+    part = jax.tree_util.tree_map(jax.lax.optimization_barrier, part_of(world.seed, world.ids))
+    model = as_dtype((world.draw, *understood), jax.dtypes.canonicalize_dtype(float))
+    sums, (what, _, kind) = chunk_scores(model, part).sums, metric.partition("_")
+    if what not in ("rmse", "mean") or f"n {kind}" not in sums:
+        kinds = ", ".join(name[2:] for name in sums if name.startswith("n ") and f"squares {name[2:]}" in sums)
+        raise UnusableInput(f"expected: metric '{metric}'; expected rmse_KIND or mean_KIND with one of {kinds}")
+    n = sums[f"n {kind}"].sum()
+    return jnp.sqrt(sums[f"squares {kind}"].sum() / n) if what == "rmse" else sums[f"sum {kind}"].sum() / n
+
+
+def _any_number(level: Any) -> Any:
+    """The level, or in place of a traced one any number: rows do not depend on it."""
+    return np.full(np.shape(level), 0.5) if isinstance(level, jax.core.Tracer) else level
 
 
 _programs: dict[bytes, Program] = {}
@@ -265,6 +304,20 @@ def _program(model: Any, part: Part) -> Program:
     return _programs[key]
 
 
+def _understood(
+    draw: AbstractDraw, name: str, batches: Callable[[RecordingFolder], list[TrackerBatch]], every: float | None
+) -> tuple[AbstractTracker, Rows]:
+    """The tracker of a world's folders, and how its rows follow from the draw; raises UnfitError."""
+    probes = [_probe(draw, name, number, batches) for number in range(3)]
+    tracker = probes[0].batch.tracker.for_positions()
+    if getattr(getattr(tracker, "filter", None), "has_particle_axis", False):
+        raise UnfitError("the filter draws random numbers")
+    latency = getattr(tracker, "latency", None)
+    if isinstance(latency, jax.core.Tracer) or latency not in (None, 0.0):
+        raise UnfitError("estimates are late")
+    return tracker, _rows(draw, probes, every)
+
+
 class _Probe(NamedTuple):
     """A drawn trajectory: its arrays, the tracker's batch, and its rows."""
 
@@ -275,7 +328,8 @@ class _Probe(NamedTuple):
 
 def _probe(draw: AbstractDraw, name: str, number: int, batches: Callable[[RecordingFolder], list[TrackerBatch]]) -> Any:
     """The probe of one trajectory; of the third one some readings are not there."""
-    arrays = draw(trajectory_keys(0, [number]))
+    with jax.ensure_compile_time_eval():
+        arrays = draw(trajectory_keys(0, [number]))
     arrays |= {mask: np.ones_like(arrays[mask]) for mask in draw.measured.values()}
     if number == 2:
         draws = np.random.default_rng(0)

@@ -10,6 +10,7 @@ from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig
 from trackwright.experiments.monte_carlo.program import UnfitError, compiled, part_of
 from trackwright.sim.keys import keys_of, trajectory_keys
 from trackwright.sim.worlds import WORLDS
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.chunks import as_dtype
 
 N = 6
@@ -83,3 +84,35 @@ def test_conditions_that_differ_in_numbers_share_a_program():
     assert first.program is second.program
     errors = [one.run(part_of(0, np.arange(N)))["sum squares direction_rad"].sum() for one in (first, second)]
     assert errors[0] < errors[1]
+
+
+SLOW = pytest.mark.slow
+GRADIENTS = [
+    ("line", "fix-kf", "rmse_m", "motion.sigma_a", 1e-4),
+    pytest.param("agv", "imm", "rmse_3d_m", "sensors.fixes.sigma*", 1e-4, marks=SLOW),
+    # Also of the world's noise; the place where a search begins a track has no derivative.
+    pytest.param("station", "beam", "rmse_direction_rad", "sensors.*.sigma_p", 2e-3, marks=SLOW),
+    pytest.param("station", "direct", "mean_3d_m", "sensors.*.sigma_p", 2e-3, marks=SLOW),
+]
+
+
+@pytest.mark.parametrize(("world", "tracker", "metric", "tunables", "tolerance"), GRADIENTS)
+def test_the_gradient_of_an_expected_error_is_its_difference_quotient(world, tracker, metric, tunables, tolerance):
+    rows = {"line": {"rate_hz": 1.0}}.get(world, {"rows": 40})
+
+    def error(number):
+        made = getattr(tw.simulate, world)(n=4, seed=3, **rows, **({"sigma_p": number} if world == "station" else {}))
+        return tw.expected(made, tracker, metric, {tunables: number})
+
+    at, step = 0.3, 1e-5
+    value, slope = jax.jit(jax.value_and_grad(error))(at)
+    both = [float(error(at + sign * step)) for sign in (1, -1)]
+    assert value == pytest.approx(float(error(at)), rel=1e-9)
+    assert slope == pytest.approx((both[0] - both[1]) / (2 * step), rel=tolerance)
+
+
+def test_an_expected_error_that_has_no_program_is_refused():
+    with pytest.raises(UnusableInput, match="an input depends on the readings; run a study"):
+        tw.expected(tw.simulate.ranges(n=2), "uwb")
+    with pytest.raises(UnusableInput, match="rmse_KIND or mean_KIND"):
+        tw.expected(tw.simulate.line(n=2, rate_hz=1.0), "fix-kf", "median_m")

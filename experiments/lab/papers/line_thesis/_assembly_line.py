@@ -76,7 +76,7 @@ def _recording(ids: tuple[int, ...], seed: int, number: int, fitted_truth: bool 
     world = draw.drawn(ids, seed_of)
     if fitted_truth:
         places = [knot_times(np.array(draw.knots), world.times, fixes).positions(world.times) for fixes in world.fixes]
-        world = dataclasses.replace(world, arrays={**world.arrays, "positions": np.stack(places)})
+        world = dataclasses.replace(world, given={**world.arrays, "positions": np.stack(places)})
     folder = world.folder(f"recording-{number}-{seed}")
     # Tables without their draw, of which a study would draw anew the truth that is replaced here.
     return dataclasses.replace(folder, tables=dict(folder.tables)) if fitted_truth else folder
