@@ -113,9 +113,9 @@ class ImuDraw(AbstractDraw):
 
     @property
     def times(self) -> Times:
-        rate = self.imu_hz or 3 * self.readings.rate_hz
-        # Until the last row; without the small number an end on a sample could be rounded up to one more.
-        return np.arange(max(3, math.ceil(self.readings.times[-1] * rate - 1e-6) + 1)) / rate
+        of, rate = self.readings, self.imu_hz or 3 * self.readings.rate_hz
+        last = 3 * (of.n_points - 1) if self.imu_hz is None else math.ceil(of.times[-1] * rate)
+        return np.arange(max(3, last + 1)) / rate
 
     def arrays(self, keys: Keys) -> dict[str, Any]:
         times = self.times
