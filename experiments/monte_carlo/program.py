@@ -251,11 +251,11 @@ def expected(
 ) -> Any:
     """The expected RMSE or mean size of a tracker's errors on a world, to differentiate by the numbers of both.
 
-    `world`: of `tw.simulate`, whose levels may be traced, with as many trajectories as the expectation is over; its
-    seed gives the same random numbers in every call. `tracker`: of the catalogue, with these `values` of its tunables by
-    name or pattern, which may be traced. `metric`: `rmse_` or `mean_` and a kind of error, as in `rmse_3d_m`. Whether
-    a reading is an outlier or lost, and where a search begins a track, has no derivative. Raises UnusableInput for
-    another metric, and for a tracker whose rows are no drawn numbers, as of ranges and bearings.
+    `world`: of `tw.simulate`, whose levels may be traced; the expectation is over its trajectories, which have the same
+    random numbers in every call. `tracker`: of the catalogue, with these `values` of its tunables by name or pattern,
+    which may be traced. `metric`: `rmse_` or `mean_` and a kind of error, as in `rmse_3d_m`. Whether a reading is an
+    outlier or lost, and where a search begins a track, has no derivative. Raises UnusableInput for another metric, and
+    for a tracker whose rows are no drawn numbers, as of ranges and bearings.
     """
     spec, plain = spec_of(tracker), jax.tree_util.tree_map(_any_number, world.draw)
 
