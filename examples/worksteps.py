@@ -32,10 +32,11 @@ def bench(ids, seed, spacing):
     points = np.stack([x.ravel(), y.ravel(), np.full(9, 0.15)], axis=1)
     path = partial(sim.point_to_point, points=points)
     stations = sim.work_station()
-    phases = sim.simulate_phases(stations, path, ids, seed, sigma_p=SIGMA_P, rate_hz=10.0, n_points=int(10 * SECONDS))
+    phases = sim.PhaseDraw(stations, path, sigma_p=SIGMA_P, n_points=int(10 * SECONDS)).drawn(ids, seed)
     errors = {"biases": sim.antenna_biases(BIAS), "white": sim.white_noise(SIGMA_R), "turn": sim.round_robin()}
     room = sim.chamber(CHAMBER - [2.5, 2.5, 1.05])
-    inertial = sim.simulate_uwb_imu(room, path, ids, seed, rate_hz=40.0, n_points=int(40 * SECONDS), corruptions=errors)
+    ranges = sim.RangeDraw(room, path, errors, 40.0, int(40 * SECONDS))
+    inertial = sim.ImuDraw(ranges).drawn(ids, seed)
     of_phases, folder = phases.folder("bench"), inertial.folder("bench")
     named = pl.DataFrame({"name": [str(k) for k in range(9)]} | dict(zip(("x_m", "y_m"), points[:, :2].T, strict=True)))
     tables = {**folder.tables, "phases": of_phases.tables["phases"], "points": named}

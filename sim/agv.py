@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from trackwright.sim.corruptions import Corruption, correlated_noise, corrupted, gauss_markov, outliers
-from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
-from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.sim.keys import Keys, namespace, stream, uniforms
+from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -38,13 +39,12 @@ class Route:
         """The length of one round, m."""
         return float(self._ends()[-1])
 
-    def at(self, arclength: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows 2"]:
+    def at(self, arclength: Float[Any, "*rows"]) -> Float[Any, "*rows 2"]:
         """Positions (..., 2), m, at these arc lengths, m, from the middle of the lower side."""
-        ends = self._ends()
-        s = np.asarray(np.fmod(np.asarray(arclength, float), ends[-1]))
-        s[s < 0] += ends[-1]
-        part = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
-        along = s - np.concatenate([[0.0], ends]).take(part)
+        xp, ends = namespace(arclength), self._ends()
+        s = xp.fmod(xp.asarray(arclength), ends[-1])
+        s = xp.where(s < 0, s + ends[-1], s)
+        part = xp.minimum(sum((s >= end).astype(np.int32) for end in ends), len(ends) - 1)
         # Of each part: each side starts at the end of the corner before it; the first side starts at its middle.
         parts = np.arange(len(ends))
         quarter, turns = parts // 2 % 4, parts % 2 == 1
@@ -54,15 +54,17 @@ class Route:
         begin = corner + self.radius * np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
         side = np.array([self.width, self.depth, self.width, self.depth])[quarter] - 2 * self.radius
         side[0] /= 2
-        back = side.take(part) - along
-        positions = np.stack(
-            [x.take(part) - back * d.take(part) for x, d in zip(begin.T, direction.T, strict=True)], axis=-1
+        of_parts = np.stack(
+            [np.concatenate([[0.0], ends[:-1]]), side, heading, turns, *begin.T, *direction.T, *corner.T]
         )
-        turning = turns.take(part)
-        at = part[turning]
-        angle = heading[at] + along[turning] / self.radius
-        positions[turning] = corner[at] + self.radius * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
-        return positions
+        # A product with zeros and a one: in a program a look-up takes several times as long as the filter.
+        at = (part == parts.reshape(-1, *[1] * s.ndim)).astype(s.dtype)
+        start, side, heading, turning, *points = xp.tensordot(of_parts.astype(s.dtype), at, 1)
+        along = s - start
+        back, angle = side - along, heading + along / self.radius
+        straight = [begin - back * direction for begin, direction in zip(points[:2], points[2:4], strict=True)]
+        turned = [points[4] + self.radius * xp.sin(angle), points[5] - self.radius * xp.cos(angle)]
+        return xp.stack([xp.where(turning > 0, a, b) for a, b in zip(turned, straight, strict=True)], axis=-1)
 
     def distance(self, points: Float[np.ndarray, "*rows 2"]) -> Float[np.ndarray, "*rows"]:
         """The distance of points (..., 2), m, from the route, inside or outside: an error without regard to time."""
@@ -81,59 +83,44 @@ class Route:
         return np.cumsum([a / 2, c, b, c, a, c, b, c, a / 2])
 
 
-@dataclass(frozen=True)
-class SimulatedFixes:
-    """Fixes of n tags at T times with their truth: m and s; `route`: the designed one; `ids`: the trajectory ids."""
-
-    times: Float[np.ndarray, " T"]
-    positions: Float[np.ndarray, "n T 3"]
-    fixes: Float[np.ndarray, "n T 3"]
-    seen: Bool[np.ndarray, "n T 3"]
-    route: Float[np.ndarray, "k 2"]
-    anchors: dict[str, Float[np.ndarray, " 3"]]
-    ids: Int[np.ndarray, " n"]
-
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder: fixes and truth in space, the designed route as the rig's path."""
-        fixes = self.fixes if self.seen.all() else np.where(self.seen, self.fixes, np.nan)
-        tables = {
-            name: ArrayRows.regular(self.times, self.ids, {AXES: values})
-            for name, values in (("fixes", fixes), ("truth", self.positions))
-        }
-        return folder_of(name, tables, self.ids, anchors=self.anchors, path_knots=self.route)
-
-
-def simulate_agv(
-    n: int | Sequence[int] | np.ndarray = 1,
-    seed: int = 0,
-    *,
-    route: Route = Route(),
-    speed: float = 0.5,
-    rows: int = 2000,
-    errors: Mapping[str, Corruption] = FIX_ERRORS,
-) -> SimulatedFixes:
+class VehicleDraw(AbstractDraw):
     """Vehicles at rest at a random position on the route that accelerate at 1 m/s² and keep `speed`, also in corners.
 
-    `n`: number of trajectories, or their ids. `errors`: corruptions of the fixes by name, in order. Raises
-    ValueError for a speed or corners beyond the limits of the paper's vehicle.
+    `errors`: corruptions of the fixes by name, in order. `rows`: fixes of each. Its arrays: `positions`, `fixes`
+    (n, T, 3) m, where `seen`. Raises ValueError for a speed or corners beyond the limits of the paper's vehicle.
     """
-    if not 0 < speed <= min(LARGEST_SPEED, (LARGEST_ACCELERATION * route.radius) ** 0.5):
-        raise ValueError(f"speed {speed} m/s: the vehicle reaches 2 m/s, and 2 m/s² in corners of {route.radius} m")
-    ids = trajectory_ids(n)
-    keys = trajectory_keys(seed, ids)
-    times = np.arange(rows) / RATE_HZ
-    # ½ t² until t = `speed`, when 1 m/s² has led to `speed`; constant speed from there.
-    covered = np.where(times < speed, 0.5 * times**2, speed * times - 0.5 * speed**2)
 
-    def driven(keys: Keys) -> tuple[np.ndarray, ...]:
-        start = uniforms(stream(keys, "start"), (1,)).astype(float) * route.length
-        floor = route.at(start + covered)
-        positions = np.empty((*floor.shape[:-1], 3))
-        positions[..., :2], positions[..., 2] = floor, TAG_HEIGHT
-        return positions, *corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
+    errors: Mapping[str, Corruption] = by_name(default_factory=lambda: FIX_ERRORS)
+    route: Route = static(default=Route())
+    speed: float = static(default=0.5)
+    rows: int = static(default=2000)
 
-    positions, fixes, seen = in_blocks(driven, keys)
-    half = np.array([route.width, route.depth]) / 2 + 1.0
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
-    anchors = {str(k + 1): np.array([*c, ANCHOR_HEIGHT]) for k, c in enumerate(corners)}
-    return SimulatedFixes(times, positions, fixes, seen, route.knots(), anchors, ids)
+    measured = MappingProxyType({"fixes": "seen"})
+
+    def __check_init__(self) -> None:
+        radius = self.route.radius
+        if not 0 < self.speed <= min(LARGEST_SPEED, (LARGEST_ACCELERATION * radius) ** 0.5):
+            raise ValueError(f"speed {self.speed} m/s: the vehicle reaches 2 m/s, and 2 m/s² in corners of {radius} m")
+
+    @property
+    def times(self) -> Float[np.ndarray, " T"]:
+        return np.arange(self.rows) / RATE_HZ
+
+    def arrays(self, keys: Keys) -> dict[str, Any]:
+        times, speed = self.times, self.speed
+        # ½ t² until t = `speed`, when 1 m/s² has led to `speed`; constant speed from there.
+        covered = np.where(times < speed, 0.5 * times**2, speed * times - 0.5 * speed**2)
+        start = uniforms(stream(keys, "start"), (1,)).astype(float) * self.route.length
+        floor = self.route.at(start + covered)
+        xp = namespace(floor)
+        positions = xp.concatenate([floor, xp.full_like(floor[..., :1], TAG_HEIGHT)], axis=-1)
+        fixes, seen = corrupted(self.errors, keys, times, positions)
+        return {"positions": positions, "fixes": fixes, "seen": seen}
+
+    def folder(self, world: SimulatedWorld) -> RecordingFolder:
+        """Fixes and truth in space, the designed route as the rig's path."""
+        half = np.array([self.route.width, self.route.depth]) / 2 + 1.0
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+        anchors = {str(k + 1): np.array([*c, ANCHOR_HEIGHT]) for k, c in enumerate(corners)}
+        fixes = ArrayRows(world.times, world.ids, {AXES: np.where(world.seen, world.arrays["fixes"], np.nan)})
+        return world.recorded({"fixes": fixes, "truth": world.truth()}, anchors=anchors, path_knots=self.route.knots())

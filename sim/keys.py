@@ -11,11 +11,12 @@ import math
 import zlib
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float32, Int, Key, Shaped, UInt32
+from jaxtyping import Float, Float32, Key, UInt32
 
 from trackwright.trackers.core.model.keys import threefry
 
@@ -23,11 +24,6 @@ Keys = Key[jax.Array, " n"]
 """Typed keys of JAX, one per trajectory."""
 
 _GENERATOR = "threefry2x32"
-
-
-def trajectory_ids(n: int | Sequence[int] | np.ndarray) -> Int[np.ndarray, " n"]:
-    """The ids of trajectories of which their number is given, 0 … n − 1, or their ids."""
-    return np.arange(n) if isinstance(n, int | np.integer) else np.asarray(n)
 
 
 def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
@@ -39,7 +35,12 @@ def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
     whole = numbers.ndim == 1 and np.issubdtype(numbers.dtype, np.integer)
     if not whole or not np.all((numbers >= 0) & (numbers < 2**32)):
         raise ValueError(f"trajectory ids are a list of whole numbers from 0 to 2**32 - 1, found {numbers!r}")
-    return _fold_each(jax.random.key(seed, impl=_GENERATOR), jnp.asarray(numbers.astype(np.uint32)))
+    return keys_of(jax.random.key_data(jax.random.key(seed, impl=_GENERATOR)), numbers.astype(np.uint32))
+
+
+def keys_of(seed_key: UInt32[Any, " 2"], ids: UInt32[Any, " n"]) -> Keys:
+    """The keys of trajectory ids (n,) from the data of the seed's key; traceable."""
+    return _fold_each(jax.random.wrap_key_data(jnp.asarray(seed_key), impl=_GENERATOR), jnp.asarray(ids))
 
 
 def stream(keys: Keys, name: str) -> Keys:
@@ -47,60 +48,56 @@ def stream(keys: Keys, name: str) -> Keys:
     return _fold_name(keys, np.uint32(zlib.crc32(name.encode())))
 
 
-def normals(keys: Keys, shape: tuple[int, ...]) -> Float32[np.ndarray, "n *shape"]:
+def namespace(*arrays: Any) -> Any:
+    """The module whose functions take these arrays: `jax.numpy` if any of them is jax's, as in a traced draw."""
+    return jnp if any(isinstance(x, jax.Array) for x in arrays) else np
+
+
+def repeated(one: Any, keys: Keys) -> Any:
+    """The array (1, …) once for each of the keys, (n, …)."""
+    xp = jnp if isinstance(keys, jax.core.Tracer) else namespace(one)
+    return xp.broadcast_to(one, (len(keys), *one.shape[1:]))
+
+
+def in_dtype(numbers: Any, of: Any) -> Any:
+    """The numbers in the dtype of another array; traced ones in what jax makes of it."""
+    return numbers.astype(jax.dtypes.canonicalize_dtype(of.dtype) if isinstance(numbers, jax.Array) else of.dtype)
+
+
+def normals(keys: Keys, shape: tuple[int, ...]) -> Float[Any, "n *shape"]:
     """Standard normal float32 numbers (n, *shape); row i depends on key i alone."""
-    return np.asarray(_normals(keys, math.prod(shape))).reshape(-1, *shape)
+    return _drawn(_normals, keys, math.prod(shape)).reshape(-1, *shape)
 
 
-def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float32[np.ndarray, "n *shape"]:
+def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float[Any, "n *shape"]:
     """Uniform float32 numbers in [0, 1), (n, *shape); row i depends on key i alone."""
-    return np.asarray(_uniforms(keys, math.prod(shape))).reshape(-1, *shape)
+    return _drawn(_uniforms, keys, math.prod(shape)).reshape(-1, *shape)
 
 
-def in_blocks(
-    draw: Callable[..., tuple[np.ndarray, ...]], keys: Keys, *arrays: Shaped[np.ndarray, "n ..."], size: int = 256
-) -> tuple[Shaped[np.ndarray, "n ..."], ...]:
-    """The arrays (n, …) of `draw(keys, *arrays)`, drawn for `size` trajectories at a time, which fit the cache.
-
-    All blocks have one shape, the last one padded: nothing is compiled twice.
-    """
-    count = len(keys)
-    if count <= size:
-        return draw(keys, *arrays)
-    data = np.asarray(jax.random.key_data(keys))
-    whole: tuple[np.ndarray, ...] = ()
-    for first in range(0, count, size):
-        rows = np.minimum(np.arange(first, first + size), count - 1)
-        block = draw(jax.random.wrap_key_data(jnp.asarray(data[rows]), impl=_GENERATOR), *(x[rows] for x in arrays))
-        whole = whole or tuple(np.empty((count, *x.shape[1:]), x.dtype) for x in block)
-        for all_rows, block_rows in zip(whole, block, strict=True):
-            all_rows[first : first + size] = block_rows[: count - first]
-    return whole
+def _drawn(draw: Callable[[Keys, int], jax.Array], keys: Keys, size: int) -> Float[Any, "n size"]:
+    """The float32 numbers of each key, in NumPy; if the keys are traced in jax's default type."""
+    if not isinstance(keys, jax.core.Tracer):
+        return np.asarray(draw(keys, size))
+    # In a loop, which keeps them in memory: elsewhere XLA joins all generators of a draw in one kernel, which takes ten
+    # times as long.
+    n, blocks = len(keys), 4
+    by_block = keys[np.minimum(np.arange(-(-n // blocks) * blocks), n - 1)].reshape(blocks, -1)
+    return jax.lax.map(lambda block: draw(block, size), by_block).reshape(-1, size)[:n].astype(float)
 
 
-@jax.jit
-def _fold_each(key: Key[jax.Array, ""], numbers: UInt32[jax.Array, " n"]) -> Keys:
-    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, numbers)
-
-
-@jax.jit
-def _fold_name(keys: Keys, number: np.uint32) -> Keys:
-    return jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, number)
+_fold_each = jax.jit(jax.vmap(jax.random.fold_in, in_axes=(None, 0)))
+_fold_name = jax.jit(jax.vmap(jax.random.fold_in, in_axes=(0, None)))
 
 
 @partial(jax.jit, static_argnums=1)
 def _normals(keys: Keys, size: int) -> Float32[jax.Array, "n size"]:
     least = np.nextafter(np.float32(-1), np.float32(0))
-    inside = jnp.maximum(least, _unit(keys, size) * (np.float32(1) - least) + least)
+    inside = jnp.maximum(least, _uniforms(keys, size) * (np.float32(1) - least) + least)
     return np.float32(np.sqrt(2)) * jax.lax.erf_inv(inside)
 
 
 @partial(jax.jit, static_argnums=1)
 def _uniforms(keys: Keys, size: int) -> Float32[jax.Array, "n size"]:
-    return _unit(keys, size)
-
-
-def _unit(keys: Keys, size: int) -> Float32[jax.Array, "n size"]:
     """The numbers of `jax.random.uniform`, which takes six times as long on a CPU: its generator passes five times."""
     key = jnp.moveaxis(jax.random.key_data(keys), -1, 0)[..., None]
     number = jnp.arange(size, dtype=jnp.uint32)[None]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any, Literal
 
+import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from trackwright.sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
-from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
-from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.sim.keys import Keys, namespace, repeated, stream, trajectory_keys, uniforms
+from trackwright.sim.tables import AXES, AbstractDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -24,100 +25,90 @@ TAG_HEIGHT = 0.78  # metres above the floor at which the cart carries its tag (s
 FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType({"white": white_noise(0.22), "slow": gauss_markov(0.22, 1.5)})
 """A mean error of 0.39 m, as in Table 3.1, whose ratios white noise alone does not reproduce."""
 
-Lengths = Float[np.ndarray, " k"]
-Durations = Float[np.ndarray, "n k"]
+Durations = tuple[Float[Any, "_ k"], Float[Any, "_ k"]]  # travel and rest, of each trajectory, or of one for all
 
 
-def constant_speed(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
-    """Situation 1: the same speed on all segments, no halts."""
-    travel = np.tile(lengths / speed, (len(keys), 1))
-    return travel, np.zeros_like(travel)
+def durations(situation: str, keys: Keys, lengths: Float[np.ndarray, " k"], speed: float) -> Durations:
+    """The travel time on each segment and the rest after it, both (n, k), or (1, k) for all, s, as in section 2.5.
 
-
-def halts(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
-    """Situation 2: the same speed on all segments, and a halt of 5 s where two segments meet."""
-    travel, rest = constant_speed(keys, lengths, speed)
-    rest[:, :-1] = 5.0
+    Situation 1, `constant`: the same speed on all segments, no halts. 2, `halts`: and a halt of 5 s where two segments
+    meet. 3, `speeds`: a random speed on every segment, with a ratio of at most 4 between fastest and slowest, no halts;
+    the whole path takes as long as at `speed`.
+    """
+    travel = lengths[None] / speed
+    if situation == "speeds":
+        factors = 2.0 ** (2.0 * uniforms(stream(keys, "speeds"), (len(lengths),)).astype(float) - 1.0)
+        travel = lengths / factors
+        travel = travel * (lengths.sum() / speed / travel.sum(axis=1, keepdims=True))
+    rest = np.zeros(travel.shape)
+    rest[:, :-1] = {"constant": 0.0, "halts": 5.0, "speeds": 0.0}[situation]
     return travel, rest
 
 
-def speed_changes(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
-    """Situation 3: a random speed on every segment, with a ratio of at most 4 between fastest and slowest, no halts.
-
-    The whole path takes as long as at `speed`.
-    """
-    factors = 2.0 ** (2.0 * uniforms(stream(keys, "speeds"), (len(lengths),)).astype(float) - 1.0)
-    travel = lengths / factors
-    travel = travel * (lengths.sum() / speed / travel.sum(axis=1, keepdims=True))
-    return travel, np.zeros_like(travel)
-
-
-SITUATIONS = MappingProxyType({"constant": constant_speed, "halts": halts, "speeds": speed_changes})
-"""The three situations of section 2.5: of keys, lengths and mean speed the travel time on each segment and the rest
-after it, both (n, k), s."""
+def piecewise_linear(x: Any, knots: Any, values: Float[np.ndarray, " k"]) -> Any:
+    """The values at x, linear between rising knots (k, …) and constant beyond them; as ramps, without a search."""
+    ramps = (
+        rise * namespace(x, width).clip((x - knot) / namespace(width).where(width > 0, width, 1.0), 0.0, 1.0)
+        for knot, width, rise in zip(knots, knots[1:] - knots[:-1], np.diff(values), strict=False)
+        if rise
+    )
+    return values[0] + sum(ramps)
 
 
-@dataclass(frozen=True)
-class SimulatedLine:
-    """Fixes of n tags at T times with their truth: m and s; `ids`: the trajectory ids."""
-
-    times: Float[np.ndarray, " T"]
-    arclength: Float[np.ndarray, "n T"]
-    positions: Float[np.ndarray, "n T 2"]
-    fixes: Float[np.ndarray, "n T 2"]
-    seen: Bool[np.ndarray, "n T 2"]
-    knots: Float[np.ndarray, "k 2"]
-    ids: Int[np.ndarray, " n"]
-
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder: fixes without height, truth at the tags' known height, the rig's path."""
-        fixes = self.fixes if self.seen.all() else np.where(self.seen, self.fixes, np.nan)
-        tables = {}
-        for table, floor, height in (("fixes", fixes, np.nan), ("truth", self.positions, TAG_HEIGHT)):
-            values = np.empty((*floor.shape[:2], 3))
-            values[..., :2], values[..., 2] = floor, height
-            tables[table] = ArrayRows.regular(self.times, self.ids, {AXES: values})
-        tags = {str(i): Tag(height=TAG_HEIGHT) for i in self.ids}
-        return folder_of(name, tables, tags, path_knots=self.knots)
-
-
-def simulate_line(
-    situation: str = "constant",
-    n: int | Sequence[int] | np.ndarray = 1,
-    seed: int = 0,
-    *,
-    knots: Float[np.ndarray, "k 2"] = THESIS_KNOTS,
-    speed: float = 0.3,
-    rest_s: float = 10.0,
-    rate_hz: float = 5.0,
-    errors: Mapping[str, Corruption] = FIX_ERRORS,
-    carried_off: tuple[float, float, Sequence[float]] | None = None,
-) -> SimulatedLine:
+class LineDraw(AbstractDraw):
     """Tags that travel the path once, at rest for `rest_s` s before and after, with fixes at `rate_hz`.
 
-    `n`: number of trajectories, or their ids. `errors`: corruptions of the fixes by name, in order. `carried_off`:
-    start and end, s, of the time that the tag spends off the line, and its offset then, (dx, dy) m. The thesis prints
-    neither speeds nor rate.
+    `situation`: as in `durations`. `errors`: corruptions of the fixes by name, in order. `knots`: the corners (x, y) of
+    the path, m. `carried_off`: start and end, s, of the time that the tag spends off the line, and its offset, (dx, dy)
+    m. Its arrays: `arclength` (n, T) m; `positions`, `fixes` (n, T, 2) m, where `seen`. The thesis prints neither
+    speeds nor rate.
     """
-    lengths = np.asarray(Polyline(knots).lengths)
-    ids = trajectory_ids(n)
-    keys = trajectory_keys(seed, ids)
-    travel, rest = SITUATIONS[situation](keys, lengths, speed)
-    legs = np.stack([travel, rest], axis=-1).reshape(len(ids), -1)
-    ends = rest_s + np.concatenate([np.zeros((len(ids), 1)), np.cumsum(legs, axis=1)], axis=1)
-    # In every situation all tags have the same duration, so that one tag does not depend on the others.
-    times = np.arange(int(np.floor((ends[0, -1] + rest_s) * rate_hz)) + 1) / rate_hz
-    marks = np.concatenate([[0.0], np.repeat(np.cumsum(lengths), 2)])
-    corners = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(np.asarray(knots, float), axis=0) ** 2).sum(axis=1)))])
 
-    def travelled(keys: Keys, ends: np.ndarray) -> tuple[np.ndarray, ...]:
-        arclength = np.stack([np.interp(times, row, marks) for row in ends])
-        positions = np.stack([np.interp(arclength, corners, axis) for axis in np.asarray(knots, float).T], axis=-1)
-        if carried_off is not None:
-            start, stop, offset = carried_off
+    situation: Literal["constant", "halts", "speeds"] = static(default="constant")
+    errors: Mapping[str, Corruption] = by_name(default_factory=lambda: FIX_ERRORS)
+    knots: tuple[tuple[float, ...], ...] = static(default=tuple(map(tuple, THESIS_KNOTS.tolist())))
+    speed: float = static(default=0.3)
+    rest_s: float = static(default=10.0)
+    rate_hz: float = static(default=5.0)
+    carried_off: tuple[float, float, tuple[float, float]] | None = static(default=None)
+
+    measured = MappingProxyType({"fixes": "seen"})
+
+    @property
+    def times(self) -> Float[np.ndarray, " T"]:
+        # In every situation all tags have the same duration, so that one tag does not depend on the others.
+        with jax.ensure_compile_time_eval():
+            end = self._ends(trajectory_keys(0, [0]))[0, -1]
+        return np.arange(int(np.floor((end + self.rest_s) * self.rate_hz)) + 1) / self.rate_hz
+
+    def _ends(self, keys: Keys) -> Float[Any, "_ legs"]:
+        """The times, s, at which the tags' first rest, and each travel and rest after it, ends."""
+        lengths = np.asarray(Polyline(np.array(self.knots)).lengths)
+        travel, rest = durations(self.situation, keys, lengths, self.speed)
+        xp = namespace(travel)
+        legs = xp.stack([travel, rest], axis=-1).reshape(len(travel), -1)
+        return self.rest_s + xp.concatenate([np.zeros((len(legs), 1)), xp.cumsum(legs, axis=1)], axis=1)
+
+    def arrays(self, keys: Keys) -> dict[str, Any]:
+        times, knots, ends = self.times, np.array(self.knots), self._ends(keys)
+        lengths = np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1))
+        corners, xp = np.concatenate([[0.0], np.cumsum(lengths)]), namespace(ends)
+        arclength = piecewise_linear(times, ends.T[..., None], np.repeat(corners, 2)[1:])
+        positions = xp.stack([piecewise_linear(arclength, corners, axis) for axis in knots.T], axis=-1)
+        if self.carried_off is not None:
+            start, stop, offset = self.carried_off
             away = (times >= start) & (times < stop)
             positions = positions + np.where(away[:, None], np.asarray(offset, float), 0.0)
-        return arclength, positions, *corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
+        if len(ends) == 1:
+            arclength, positions = repeated(arclength, keys), repeated(positions, keys)
+        fixes, seen = corrupted(self.errors, keys, times, positions)
+        return {"arclength": arclength, "positions": positions, "fixes": fixes, "seen": seen}
 
-    arclength, positions, fixes, seen = in_blocks(travelled, keys, ends)
-    return SimulatedLine(times, arclength, positions, fixes, seen, np.asarray(knots, float), ids)
+    def folder(self, world: SimulatedWorld) -> RecordingFolder:
+        """Fixes without height, truth at the tags' known height, the rig's path."""
+        fixes, tables = np.where(world.seen, world.arrays["fixes"], np.nan), {}
+        for table, floor, height in (("fixes", fixes, np.nan), ("truth", world.positions, TAG_HEIGHT)):
+            values = np.concatenate([floor, np.full_like(floor[..., :1], height)], axis=-1)
+            tables[table] = ArrayRows(world.times, world.ids, {AXES: values})
+        tags = {str(i): Tag(height=TAG_HEIGHT) for i in world.ids}
+        return world.recorded(tables, tags, path_knots=np.array(self.knots))

@@ -7,20 +7,21 @@ A path is a function of keys (n,) and times (T,) in seconds, which rise but need
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from trackwright.sim.keys import Keys, normals, stream, uniforms
+from trackwright.sim.keys import Keys, namespace, normals, repeated, stream, uniforms
 
 Times = Float[np.ndarray, " T"]
-Positions = Float[np.ndarray, "n T 3"]
+Positions = Float[Any, "n T 3"]
 Volume = Float[np.ndarray, "2 3"]
 
 PathFunction = Callable[[Keys, Times], Positions]
-"""(keys, times) -> positions (n, T, 3), m."""
+"""(keys, times) -> positions (n, T, 3), m; one that works in NumPy alone keeps studies from one program."""
 
 WORK_VOLUME = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 0.3]])
 """The paper's measurement area, 1 m x 1 m x 0.3 m, lower and upper corner; the origin is the middle of the table."""
@@ -41,10 +42,9 @@ def helix(
     t = np.asarray(times, float) - times[0]
     progress = t / t[-1] if t[-1] > 0 else t
     angle = (2 * np.pi * turns) * progress
-    path = np.empty((len(keys), len(progress), 3))
-    path[..., :2] = (lower + upper)[:2] / 2 + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    path[..., 2] = lower[2] + (upper[2] - lower[2]) * progress
-    return np.clip(path, lower, upper)
+    floor = (lower + upper)[:2] / 2 + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    path = np.concatenate([floor, (lower[2] + (upper[2] - lower[2]) * progress)[:, None]], axis=1)
+    return repeated(np.clip(path, lower, upper)[None], keys)
 
 
 def hand_motion(keys: Keys, times: Times, volume: Volume = WORK_VOLUME, *, speed: float = 0.3) -> Positions:
@@ -65,8 +65,9 @@ def hand_motion(keys: Keys, times: Times, volume: Volume = WORK_VOLUME, *, speed
     waves = np.concatenate([np.cos(t[:, None] * omega), np.sin(t[:, None] * omega)], axis=1)
     weights = normals(stream(keys, "hand motion"), (2 * _HARMONICS, 3)).astype(float) / np.sqrt(_HARMONICS)
     # One matrix product of fixed shape per trajectory: its bits do not depend on the number of trajectories.
-    noise = np.matmul(waves, weights)
-    return np.clip((lower + upper) / 2 + half * np.tanh(_SQUASH * noise), lower, upper)
+    xp = namespace(weights)
+    noise = xp.matmul(waves.astype(weights.dtype), weights)
+    return xp.clip((lower + upper) / 2 + half * xp.tanh(_SQUASH * noise), lower, upper)
 
 
 def point_to_point(
@@ -93,6 +94,12 @@ def point_to_point(
         path += (s**3 * (10 - 15 * s + 6 * s**2))[..., None] * motions[:, k, None]
     return path
 
+
+WALK_VOLUME = np.array([[0.8, 0.8, 0.8], [4.2, 4.2, 1.6]])
+"""The volume of the tags' paths in the paper's chamber, lower and upper corner, m."""
+
+WALK: PathFunction = partial(hand_motion, volume=WALK_VOLUME, speed=0.5)
+"""Smooth random motion through that volume at 0.5 m/s."""
 
 PATHS: Mapping[str, PathFunction] = MappingProxyType({"helix": helix, "hand": hand_motion})
 """Paths in the work volume by name."""

@@ -1,51 +1,31 @@
-"""Ranges and range differences (TDoA) between tags and anchors, of tags alone and of several on a trolley, in m.
-
-`drop_outs`, `white_noise`, `gauss_markov` and `outliers` of `sim.corruptions` apply to ranges, too.
-"""
+"""Ranges and range differences (TDoA) between tags and anchors, of tags alone and of several on a trolley, in m."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from types import MappingProxyType
-from typing import ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float
 
-from trackwright.sim.corruptions import (
-    Corruption,
-    Seen,
-    Times,
-    Values,
-    added,
-    corrupted,
-    fraction,
-    in_bursts,
-    white_density,
-)
-from trackwright.sim.keys import Keys, in_blocks, normals, stream, trajectory_ids, trajectory_keys, uniforms
-from trackwright.sim.paths import PathFunction, hand_motion
-from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.sim.corruptions import Corruption, Seen, corrupted, white_density
+from trackwright.sim.keys import Keys, namespace, normals, stream, uniforms
+from trackwright.sim.paths import Times, hand_motion
+from trackwright.sim.tables import AXES, AbstractDraw, AbstractRigDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT, double_sided
+from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT
 
-Ranges = Float[np.ndarray, "n T anchors"]
+Ranges = Float[Any, "n T anchors"]
 
 CHAMBER = np.array([[0.0, 0.0, 0.3], [5.0, 0.0, 2.5], [5.0, 5.0, 0.3], [0.0, 5.0, 2.5]])
 """Four anchors 5 m apart, m, as in the paper's chamber (section 4.1); heights, not printed, alternate low and high."""
 
 # Eight anchors, m, in the corners of the chamber, near the floor and below the ceiling.
 CORNERS = np.array([[x, y, z] for z in (0.3, 2.5) for x, y in ((0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0))])
-
-WALK_VOLUME = np.array([[0.8, 0.8, 0.8], [4.2, 4.2, 1.6]])
-"""The volume of the tags' paths in the chamber, lower and upper corner, m."""
-
-WALK: PathFunction = partial(hand_motion, volume=WALK_VOLUME, speed=0.5)
-"""Smooth random motion through that volume at 0.5 m/s."""
 
 
 @dataclass(frozen=True)
@@ -64,95 +44,22 @@ class Protocol:
 def two_way_ranges(keys: Keys, distances: Ranges, protocol: Protocol) -> Ranges:
     """Ranges (n, T, anchors), m, measured by the protocol at these distances; the drift of a node is constant."""
     rows, anchors = distances.shape[1:]
-    flight = distances / SPEED_OF_LIGHT
-    rates = 1.0 + protocol.drift * normals(stream(keys, "clocks"), (anchors + 1,)).astype(float)
+    rates = protocol.drift * normals(stream(keys, "clocks"), (anchors + 1,)).astype(float)
     tag, anchor = rates[:, None, :1], rates[:, None, 1:]
-    # Every interval lies between two time stamps, each with independent noise.
-    stamps = protocol.sigma_stamp * normals(stream(keys, "stamps"), (rows, anchors, 6)).astype(float)
-    poll_sent, poll_received, reply_sent, reply_received, final_sent, final_received = np.moveaxis(stamps, -1, 0)
-    reply = protocol.reply_s
-    total = (2.0 * flight + reply) * anchor + reply_received - poll_sent
-    wait = reply * tag + reply_sent - poll_received
-    second_total = (2.0 * flight + reply) * tag + final_received - reply_sent
-    second_wait = reply * anchor + final_sent - reply_received
-    return double_sided(total, wait, second_total, second_wait)
-
-
-def antenna_biases(sigma: float) -> Corruption:
-    """A constant bias of each anchor's ranges, m, normal with mean zero: uncalibrated antenna delays."""
-    return added(lambda keys, times, values: (sigma * normals(keys, values.shape[2:3]))[:, None].astype(values.dtype))
-
-
-def obstruction(share: float, mean_length_s: float, bias: float, tail: float) -> Corruption:
-    """No line of sight to an anchor for a `share` of the time, `mean_length_s` at a stretch on average.
-
-    Meanwhile its ranges are too long by `bias` m plus exponential noise of mean `tail` m.
-    """
-    fraction("the share of the time without line of sight", share)
-
-    def detour(keys: Keys, times: Times, values: Values) -> Values:
-        hidden = in_bursts(stream(keys, "hidden"), times, values.shape[2], share, mean_length_s)
-        draws = uniforms(stream(keys, "detour"), values.shape[1:]).astype(float)
-        return np.where(hidden, bias - tail * np.log1p(-draws), 0.0).astype(values.dtype)
-
-    return added(detour)
-
-
-def on_anchors(anchors: Sequence[int], corruption: Corruption) -> Corruption:
-    """The corruption restricted to the ranges of some anchors, which count from 0 in the rig's order."""
-    chosen = list(anchors)
-
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        values, seen = values.copy(), seen.copy()
-        values[..., chosen], seen[..., chosen] = corruption(keys, times, values[..., chosen], seen[..., chosen])
-        return values, seen
-
-    return corrupt
-
-
-def round_robin() -> Corruption:
-    """Polling of the anchors in turn: one range per row instead of one to every anchor."""
-
-    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
-        turn = np.arange(values.shape[1])[:, None] % values.shape[2] == np.arange(values.shape[2])
-        return values, seen & turn
-
-    return corrupt
-
-
-@dataclass(frozen=True)
-class SimulatedRanges:
-    """Ranges of n tags at T times with their truth: m and s, anchors in the order of `rig.anchors`.
-
-    `ranges` are zero where not `seen`; `ids`: the trajectory ids.
-    """
-
-    table: ClassVar[str] = "ranges"
-
-    times: Times
-    positions: Float[np.ndarray, "n T 3"]
-    ranges: Ranges
-    seen: Bool[np.ndarray, "n T anchors"]
-    rig: Rig
-    ids: Int[np.ndarray, " n"]
-
-    def rows(self) -> ArrayRows:
-        """A row per range."""
-        tag, row, anchor = np.nonzero(self.seen)
-        return ArrayRows.of_entries(
-            tag,
-            self.ids,
-            self.times[row],
-            {("range_m",): self.ranges[self.seen].astype(float)[:, None]},
-            {"anchor": (anchor, list(self.rig.anchors))},
-        )
-
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder: a row per range, truth in space; constant heights are in the rig."""
-        heights = [float(z[0]) if np.ptp(z) == 0 else None for z in self.positions[..., 2]]
-        tags = {str(i): Tag(height=height) for i, height in zip(self.ids, heights, strict=True)}
-        tables = {self.table: self.rows(), "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
-        return folder_of(name, tables, tags, anchors=self.rig.anchors)
+    # Every interval lies between two time stamps, each with independent noise; all as lengths, m.
+    stamps = protocol.sigma_stamp * normals(stream(keys, "stamps"), (rows, anchors, 6)).astype(float) * SPEED_OF_LIGHT
+    poll_out, poll_in, reply_out, reply_in, final_out, final_in = (stamps[..., k] for k in range(6))
+    # Equation (12) of Neirynck et al. as in `double_sided`, with (1 + rate) (2 flight + reply) + noise for round trips
+    # and (1 + rate) reply + noise for delays, multiplied out: the squares of the reply cancel, also in float32.
+    both, reply = (1.0 + tag) * (1.0 + anchor), protocol.reply_s * SPEED_OF_LIGHT
+    first, second = reply_in - poll_out, final_in - reply_out
+    delay, second_delay = reply_out - poll_in, final_out - reply_in
+    there = (1.0 + anchor) * second + (1.0 + tag) * first
+    back = (1.0 + tag) * second_delay + (1.0 + anchor) * delay
+    product = 4.0 * both * distances * (distances + reply) + 2.0 * distances * there + reply * (there - back)
+    product = product + (first * second - delay * second_delay)
+    noise = first + second + delay + second_delay
+    return product / (2.0 * (distances + reply) * (2.0 + tag + anchor) + noise)
 
 
 def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
@@ -160,121 +67,68 @@ def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
     return Rig("chamber", anchors={f"A{k + 1}": np.asarray(a, float) for k, a in enumerate(anchors)})
 
 
-def distances_to(anchors: Float[np.ndarray, "A 3"], positions: Float[np.ndarray, "n T 3"]) -> Ranges:
-    """The distances (n, T, A) of positions, m, from anchors."""
+def distances_to(rig: Rig, positions: Float[Any, "*rows 3"]) -> Float[Any, "*rows A"]:
+    """The distances (..., A) of positions (..., 3), m, from the rig's anchors."""
+    anchors = np.stack(list(rig.anchors.values()))
     x, y, z = (positions[..., None, axis] - anchors[:, axis] for axis in range(3))
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
+    distances: Ranges = namespace(x).sqrt(x * x + y * y + z * z)
+    return distances
 
 
-def simulate_ranges(
-    rig: Rig,
-    path: PathFunction = WALK,
-    n: int | Sequence[int] | np.ndarray = 1,
-    seed: int = 0,
-    *,
-    rate_hz: float = 10.0,
-    n_points: int = 200,
-    protocol: Protocol | None = None,
-    corruptions: Mapping[str, Corruption] = MappingProxyType({}),
-) -> SimulatedRanges:
-    """Trajectories, `n` or with the ids `n`, of `n_points` rows of ranges to all anchors of the rig, with truth.
+class RangeDraw(AbstractRigDraw):
+    """Ranges to all anchors of the rig, by a two-way protocol, along paths `path`.
 
-    `corruptions`: by name, which is the random stream, in order.
-    """
-    ids = trajectory_ids(n)
-    keys = trajectory_keys(seed, ids)
-    times = np.arange(n_points) / rate_hz
-    anchors = np.stack(list(rig.anchors.values()))
-
-    def ranged(keys: Keys) -> tuple[np.ndarray, ...]:
-        positions = path(stream(keys, "path"), times)
-        distances = distances_to(anchors, positions)
-        ranges = two_way_ranges(stream(keys, "two-way ranging"), distances, protocol or Protocol())
-        corruption_keys, all_seen = stream(keys, "corruptions"), np.ones(ranges.shape, bool)
-        ranges, seen = corrupted(corruptions, corruption_keys, times, ranges, all_seen)
-        return positions, np.where(seen, ranges, 0.0), seen
-
-    positions, ranges, seen = in_blocks(ranged, keys, size=32)
-    return SimulatedRanges(times, positions, ranges, seen, rig, ids)
-
-
-Schedule = Literal["messages", "turns"]
-"""At each time the differences of all anchors heard from the first of them; or one, of two neighbours in turn."""
-
-
-@dataclass(frozen=True)
-class SimulatedDifferences:
-    """Times of arrival at n tags at T times, as distances, with their truth, and the differences that are reported.
-
-    `arrivals` in m, up to an offset common to the anchors of a time, in the order of `rig.anchors`, where `heard`.
+    Its arrays: `positions` (n, T, 3) m; `ranges` (n, T, anchors) m, where `seen`, anchors in the order of the rig.
     """
 
-    table: ClassVar[str] = "tdoa"
+    protocol: Protocol = static(default=Protocol())
 
-    times: Times
-    positions: Float[np.ndarray, "n T 3"]
-    arrivals: Ranges
-    heard: Bool[np.ndarray, "n T anchors"]
-    rig: Rig
-    ids: Int[np.ndarray, " n"]
-    schedule: Schedule = "messages"
+    measured = MappingProxyType({"ranges": "seen"})
 
-    def rows(self) -> ArrayRows:
+    def arrays(self, keys: Keys) -> dict[str, Any]:
+        positions = self.positions(keys, self.times)
+        ranges = two_way_ranges(stream(keys, "two-way ranging"), distances_to(self.rig, positions), self.protocol)
+        ranges, seen = corrupted(self.corruptions, stream(keys, "corruptions"), self.times, ranges)
+        # A tag reports no range that is not positive.
+        return {"positions": positions, "ranges": ranges, "seen": seen & (ranges > 0)}
+
+    def rows(self, world: SimulatedWorld) -> dict[str, ArrayRows]:
+        """A row per range."""
+        return {"ranges": _range_rows(self.times, world.ids, world.arrays["ranges"], world.seen, self.rig)}
+
+
+def _range_rows(times: Times, tags: np.ndarray, ranges: Ranges, seen: Seen, rig: Rig) -> ArrayRows:
+    anchors = {"anchor": (np.arange(len(rig.anchors)), [*rig.anchors])}
+    return ArrayRows(times, tags, {("range_m",): ranges[..., None]}, seen, anchors)
+
+
+class DifferenceDraw(AbstractRigDraw):
+    """Range differences; the noise of an arrival is in all differences with its anchor.
+
+    `schedule`: at each time those of all anchors heard from the first of them; or one, of two neighbours in turn. Its
+    arrays: `positions` (n, T, 3) m; `arrivals` (n, T, anchors): times of arrival as distances, m, up to an offset
+    common to the anchors of a time, where `heard`, anchors in the order of the rig.
+    """
+
+    schedule: Literal["messages", "turns"] = static(default="messages")
+
+    def arrays(self, keys: Keys) -> dict[str, Any]:
+        positions, errors = self.positions(keys, self.times), stream(keys, "corruptions")
+        arrivals, heard = corrupted(self.corruptions, errors, self.times, distances_to(self.rig, positions))
+        return {"positions": positions, "arrivals": arrivals, "heard": heard}
+
+    def rows(self, world: SimulatedWorld) -> dict[str, ArrayRows]:
         """A row per difference."""
-        count = self.heard.shape[2]
+        heard, names = world.heard, [*self.rig.anchors]
         if self.schedule == "messages":
-            first = np.broadcast_to(np.argmax(self.heard, axis=2)[..., None], self.heard.shape)
-            tag, row, anchor = np.nonzero(self.heard & (np.arange(count) != first))
-            other = first[tag, row, anchor]
+            anchor, other = np.arange(len(names))[None, None], np.argmax(heard, axis=2)[..., None]
         else:
-            turn = np.arange(len(self.times)) % count
-            both = self.heard[:, np.arange(len(turn)), turn] & self.heard[:, np.arange(len(turn)), turn - 1]
-            tag, row = np.nonzero(both)
-            anchor, other = turn[row], (turn[row] - 1) % count
-        differences = self.arrivals[tag, row, anchor] - self.arrivals[tag, row, other]
-        names = list(self.rig.anchors)
-        return ArrayRows.of_entries(
-            tag,
-            self.ids,
-            self.times[row],
-            {("range_difference_m",): differences.astype(float)[:, None]},
-            {"anchor": (anchor, names), "anchor_2": (other, names)},
-        )
-
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder: a row per difference, truth in space."""
-        tables = {self.table: self.rows(), "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
-        return folder_of(name, tables, self.ids, anchors=self.rig.anchors)
-
-
-def simulate_differences(
-    rig: Rig,
-    path: PathFunction = WALK,
-    n: int | Sequence[int] | np.ndarray = 1,
-    seed: int = 0,
-    *,
-    rate_hz: float = 10.0,
-    n_points: int = 200,
-    schedule: Schedule = "messages",
-    corruptions: Mapping[str, Corruption] = MappingProxyType({}),
-) -> SimulatedDifferences:
-    """Trajectories, `n` or with the ids `n`, of `n_points` times of range differences, with truth.
-
-    `corruptions`: of the times of arrival (n, T, anchors), m, by name, in order: the noise of an arrival is in all
-    differences with its anchor.
-    """
-    ids = trajectory_ids(n)
-    times = np.arange(n_points) / rate_hz
-    anchors = np.stack(list(rig.anchors.values()))
-
-    def arrived(keys: Keys) -> tuple[np.ndarray, ...]:
-        positions = path(stream(keys, "path"), times)
-        arrivals = distances_to(anchors, positions)
-        heard = np.ones(arrivals.shape, bool)
-        return positions, *corrupted(corruptions, stream(keys, "corruptions"), times, arrivals, heard)
-
-    positions, arrivals, heard = in_blocks(arrived, trajectory_keys(seed, ids), size=32)
-    return SimulatedDifferences(times, positions, arrivals, heard, rig, ids, schedule)
+            anchor = (np.arange(self.n_points) % len(names))[None, :, None]
+            other = (anchor - 1) % len(names)
+        arrival, seen = ([np.take_along_axis(x, k, axis=2) for k in (anchor, other)] for x in (world.arrivals, heard))
+        differences, seen = (arrival[0] - arrival[1])[..., None], seen[0] & seen[1] & (anchor != other)
+        of_rows = {"anchor": (anchor, names), "anchor_2": (other, names)}
+        return {"tdoa": ArrayRows(self.times, world.ids, {("range_difference_m",): differences}, seen, of_rows)}
 
 
 OFFSETS = np.array([[0.0, 0.0, 0.0], [0.5, 0.25, 0.0], [0.5, -0.25, 0.0]])
@@ -295,101 +149,81 @@ def rounds(keys: Keys, times: Times) -> Float[np.ndarray, "n T 3"]:
     return circle + hand_motion(keys, times, np.stack([CENTRE - WANDER, CENTRE + WANDER]), speed=SPEED / 5)
 
 
-@dataclass(frozen=True)
-class SimulatedBodies:
-    """Ranges of the tags of n trolleys at T times, and odometry, with truth.
-
-    `positions` (n, T, tags, 3) m; `headings` (n, T) rad; `ranges` (n, T, tags, A) m, where `seen`; `odometry`
-    (n, T − 1, 2): forward speed, m/s, and turning rate, rad/s, of each time until the next, None without wheels.
-    """
-
-    times: Times
-    positions: Float[np.ndarray, "n T tags 3"]
-    headings: Float[np.ndarray, "n T"]
-    ranges: Float[np.ndarray, "n T tags anchors"]
-    seen: Bool[np.ndarray, "n T tags anchors"]
-    odometry: Float[np.ndarray, "n intervals 2"] | None
-    rig: Rig
-    ids: Int[np.ndarray, " n"]
-
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder. Each trolley's first tag has its id as name; the others are `ID-2`, `ID-3`."""
-        count = self.positions.shape[2]
-        bodies = {str(i): (str(i), *(f"{i}-{k}" for k in range(2, count + 1))) for i in self.ids}
-        names = np.array([tag for tags in bodies.values() for tag in tags])
-        height, offsets = float(self.positions[0, 0, 0, 2]), [*OFFSETS[:count]] if count > 1 else [None]
-        tags = {tag: Tag(height, at) for body in bodies.values() for tag, at in zip(body, offsets, strict=True)}
-        half, zero = np.repeat(self.headings / 2, count, axis=0), np.zeros((len(names), len(self.times)))
-        attitudes = np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
-        positions, ranges, seen = (_by_tag(x) for x in (self.positions, self.ranges, self.seen))
-        tag, row, anchor = np.nonzero(seen)
-        anchors = {"anchor": (anchor, list(self.rig.anchors))}
-        tables = {
-            "ranges": ArrayRows.of_entries(tag, names, self.times[row], {("range_m",): ranges[seen][:, None]}, anchors),
-            "truth": ArrayRows.regular(self.times, names, {AXES: positions, QUATERNION: attitudes}),
-        }
-        if self.odometry is not None:
-            tables["odometry"] = ArrayRows.regular(
-                self.times[:-1], self.ids, {("speed_mps", "yaw_rate_radps"): self.odometry}
-            )
-        return folder_of(name, tables, tags, anchors=self.rig.anchors, bodies=bodies if count > 1 else {})
-
-
-def _by_tag(values: Shaped[np.ndarray, "n T tags m"]) -> Shaped[np.ndarray, "n_tags T m"]:
-    """The values of each tag, of one trolley after another."""
-    return np.moveaxis(values, 2, 1).reshape(-1, values.shape[1], values.shape[3])
-
-
-def simulate_bodies(
-    rig: Rig,
-    n: int | Sequence[int] | np.ndarray = 1,
-    seed: int = 0,
-    *,
-    tags: int = 3,
-    rate_hz: float = 10.0,
-    n_points: int = 200,
-    of_anchors: Mapping[str, Corruption] = MappingProxyType({}),
-    of_ranges: Mapping[str, Corruption] = MappingProxyType({}),
-    wheels: tuple[float, float] | None = (0.01, 0.04),
-) -> SimulatedBodies:
-    """Trolleys, `n` or with the ids `n`, whose `tags` range to all anchors at `n_points` times.
+class TrolleyDraw(AbstractDraw):
+    """Trolleys whose `tags` range to all anchors of the rig at `n_points` times, in NumPy alone.
 
     The middle of the axle goes its `rounds`; the trolley looks along them. `of_anchors`: corruptions (n, T, A), m, of
     the ranges of all tags alike; `of_ranges`: of each tag (n, T, tags·A). `wheels`: white errors of the speed, m/s per
-    √Hz, and of the turning rate, rad/s per √Hz; None: no odometry.
+    √Hz, and of the turning rate, rad/s per √Hz; None: no odometry. Its arrays: `positions` (n, T, tags, 3) m;
+    `headings` (n, T) rad; `ranges` (n, T, tags, A) m, where `seen`; `odometry` (n, T − 1, 2): forward speed, m/s, and
+    turning rate, rad/s, of each time until the next.
     """
-    ids = trajectory_ids(n)
-    times, anchors = np.arange(n_points) / rate_hz, np.stack(list(rig.anchors.values()))
 
-    def ranged(keys: Keys) -> tuple[np.ndarray, ...]:
-        axle = rounds(stream(keys, "path"), times)
+    rig: Rig = static()
+    tags: int = static(default=3)
+    rate_hz: float = static(default=10.0)
+    n_points: int = static(default=200)
+    of_anchors: Mapping[str, Corruption] = by_name(default_factory=dict)
+    of_ranges: Mapping[str, Corruption] = by_name(default_factory=dict)
+    wheels: tuple[float, float] | None = static(default=(0.01, 0.04))
+
+    size = 32
+
+    @property
+    def times(self) -> Times:
+        return np.arange(self.n_points) / self.rate_hz
+
+    def arrays(self, keys: Keys) -> dict[str, Any]:
+        times, axle = self.times, rounds(stream(keys, "path"), self.times)
         along = np.gradient(axle, times, axis=1)
         headings = np.unwrap(np.arctan2(along[..., 1], along[..., 0]), axis=1)
         cosine, sine = np.cos(headings)[..., None], np.sin(headings)[..., None]
-        x, y, z = OFFSETS[:tags].T
+        x, y, z = OFFSETS[: self.tags].T
         arms = np.stack([cosine * x - sine * y, sine * x + cosine * y, z + 0.0 * sine], axis=-1)
         positions = axle[:, :, None] + arms
-        nothing = np.zeros((len(axle), len(times), len(anchors)))
-        shared, heard = corrupted(of_anchors, stream(keys, "anchors"), times, nothing, nothing == 0.0)
-        distances = distances_to(anchors, positions.reshape(len(axle), -1, 3)).reshape(len(axle), len(times), -1)
-        errors = stream(keys, "ranges")
-        ranges, seen = corrupted(of_ranges, errors, times, distances + np.tile(shared, tags), np.tile(heard, tags))
-        ranges, seen = (a.reshape(*positions.shape[:3], -1) for a in (np.where(seen, ranges, 0.0), seen))
-        return positions, headings, ranges, seen, _driven(keys, times, axle, headings, wheels)
+        distances = distances_to(self.rig, positions)
+        nothing = np.zeros_like(distances[:, :, 0])
+        shared, heard = corrupted(self.of_anchors, stream(keys, "anchors"), times, nothing)
+        ranges, heard = distances + shared[:, :, None], np.broadcast_to(heard[:, :, None], distances.shape)
+        flat = (x.reshape(*x.shape[:2], -1) for x in (ranges, heard))
+        ranges, seen = corrupted(self.of_ranges, stream(keys, "ranges"), times, *flat)
+        ranges, seen = (x.reshape(distances.shape) for x in (np.where(seen, ranges, 0.0), seen))
+        arrays = {"positions": positions, "headings": headings, "ranges": ranges, "seen": seen}
+        if self.wheels is not None:
+            arrays["odometry"] = _driven(keys, times, axle, headings, self.wheels)
+        return arrays
 
-    positions, headings, ranges, seen, odometry = in_blocks(ranged, trajectory_keys(seed, ids), size=32)
-    measured = None if wheels is None else odometry
-    return SimulatedBodies(times, positions, headings, ranges, seen, measured, rig, ids)
+    def folder(self, world: SimulatedWorld) -> RecordingFolder:
+        """Ranges, truth with attitudes, odometry; each trolley's first tag has its id as name, then `ID-2`, `ID-3`."""
+        bodies = {str(i): (str(i), *(f"{i}-{k}" for k in range(2, self.tags + 1))) for i in world.ids}
+        names = np.array([tag for tags in bodies.values() for tag in tags])
+        height, offsets = float(world.positions[0, 0, 0, 2]), [*OFFSETS[: self.tags]] if self.tags > 1 else [None]
+        tags = {tag: Tag(height, at) for body in bodies.values() for tag, at in zip(body, offsets, strict=True)}
+        half = np.repeat(world.headings / 2, self.tags, axis=0)
+        attitudes = np.stack([np.cos(half), (zero := np.zeros_like(half)), zero, np.sin(half)], axis=-1)
+        # Of each tag, of one trolley after another.
+        positions, ranges, seen = (
+            np.moveaxis(world.arrays[name], 2, 1).reshape(len(names), self.n_points, -1)
+            for name in ("positions", "ranges", "seen")
+        )
+        tables = {
+            "ranges": _range_rows(self.times, names, ranges, seen, self.rig),
+            "truth": ArrayRows(self.times, names, {AXES: positions, QUATERNION: attitudes}),
+        }
+        if self.wheels is not None:
+            driven = {("speed_mps", "yaw_rate_radps"): world.odometry}
+            tables["odometry"] = ArrayRows(self.times[:-1], world.ids, driven)
+        return world.recorded(tables, tags, anchors=self.rig.anchors, bodies=bodies if self.tags > 1 else {})
 
 
 def _driven(
-    keys: Keys, times: Times, axle: np.ndarray, headings: np.ndarray, wheels: tuple[float, float] | None
+    keys: Keys, times: Times, axle: np.ndarray, headings: np.ndarray, wheels: tuple[float, float]
 ) -> Float[np.ndarray, "n intervals 2"]:
     """The odometry between the times: arcs of the true turns and distances, with white errors."""
     dt, turn = np.diff(times), np.diff(headings, axis=1)
     speed = np.sqrt((np.diff(axle, axis=1) ** 2).sum(axis=-1)) / dt / np.sinc(turn / (2 * np.pi))
     readings = np.stack([speed, turn / dt], axis=-1)
-    for k, sigma in enumerate(wheels or ()):
-        errors, part = {"noise": white_density(sigma)}, readings[..., k : k + 1]
-        readings[..., k : k + 1], _ = corrupted(errors, stream(keys, f"wheels {k}"), times[:-1], part, part == part)
+    for k, sigma in enumerate(wheels):
+        noise, errors = {"noise": white_density(sigma)}, stream(keys, f"wheels {k}")
+        readings[..., k : k + 1], _ = corrupted(noise, errors, times[:-1], readings[..., k : k + 1])
     return readings

@@ -8,64 +8,60 @@ ideal phases.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int
+from jaxtyping import Float
 
-from trackwright.sim.corruptions import Corruption, corrupted, white_noise
-from trackwright.sim.keys import Keys, in_blocks, stream, trajectory_ids, trajectory_keys, uniforms
-from trackwright.sim.paths import PATHS, WORK_VOLUME, PathFunction
-from trackwright.sim.ranging import SimulatedRanges
-from trackwright.sim.tables import AXES, ArrayRows, folder_of
+from trackwright.sim.corruptions import Corruption, corrupted
+from trackwright.sim.keys import Keys, in_dtype, namespace, normals, stream, uniforms
+from trackwright.sim.paths import WORK_VOLUME, PathFunction
+from trackwright.sim.ranging import RangeDraw
+from trackwright.sim.tables import AbstractDraw, AbstractRigDraw, ArrayRows, SimulatedWorld, by_name, static
 from trackwright.trackers.aoa.phases import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackwright.trackers.core.model.rig import Rig, Station
 from trackwright.trackers.recordings.folder import RecordingFolder
 
-# All chunks have one shape, the last one padded: nothing is compiled twice, and a chunk fits the processor's cache.
-_CHUNK = 64
+Phases = Float[Any, "*rows stations antennas"]
+
 _BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 
-def wrapped(angle: Float[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
-    """The angles wrapped into (-pi, pi], rad, float64."""
+def wrapped(angle: Float[Any, "*shape"]) -> Float[Any, "*shape"]:
+    """The angles wrapped into (-pi, pi], rad."""
     turn = 2 * np.pi
-    angle = np.asarray(angle, float)
-    return angle - turn * np.ceil(angle / turn - 0.5)
+    return angle - turn * namespace(angle).ceil(angle / turn - 0.5)
 
 
-def spherical_phases(
-    stations: Sequence[Station], positions: Float[np.ndarray, "*rows 3"]
-) -> Float[np.ndarray, "*rows stations antennas"]:
+def spherical_phases(stations: Sequence[Station], positions: Float[Any, "*rows 3"]) -> Phases:
     """Phases (..., stations, antennas), rad in (-pi, pi], of spherical waves from beacons at positions (..., 3), m.
 
     The phase of antenna i is -2 pi / lambda times its distance from the beacon. Raises ValueError for stations without
     an array or with arrays of unequal size.
     """
     antennas, wavelengths = antenna_arrays(stations)
-    x, y, z = np.moveaxis(np.asarray(positions, float)[..., None, None, :], -1, 0)
-    distances = np.sqrt((x - antennas[..., 0]) ** 2 + (y - antennas[..., 1]) ** 2 + (z - antennas[..., 2]) ** 2)
+    xp = namespace(positions)
+    x, y, z = xp.moveaxis(xp.asarray(positions, float)[..., None, None, :], -1, 0)
+    distances = xp.sqrt((x - antennas[..., 0]) ** 2 + (y - antennas[..., 1]) ** 2 + (z - antennas[..., 2]) ** 2)
     return wrapped(distances * (-2 * np.pi / wavelengths[:, None]))
 
 
-def plane_phases(
-    stations: Sequence[Station], positions: Float[np.ndarray, "*rows 3"]
-) -> Float[np.ndarray, "*rows stations antennas"]:
+def plane_phases(stations: Sequence[Station], positions: Float[Any, "*rows 3"]) -> Phases:
     """Phases (..., stations, antennas) of plane waves, equation (9): 2 pi / lambda * p_i . u.
 
     An approximation for distant beacons; for worlds in which a tracker's model is exact. Shapes, units and errors as in
     `spherical_phases`.
     """
     antenna_arrays(stations)
-    columns = []
+    columns, xp = [], namespace(positions)
     for station in stations:
-        x, y, z = np.moveaxis(station.position_in_array(positions), -1, 0)
-        wave_number = 2 * np.pi / (station.wavelength * np.sqrt(x**2 + y**2 + z**2))
+        x, y, z = xp.moveaxis(station.position_in_array(positions), -1, 0)
+        wave_number = 2 * np.pi / (station.wavelength * xp.sqrt(x**2 + y**2 + z**2))
         flat = np.asarray(station.antennas)
         columns.append((wave_number * x)[..., None] * flat[:, 0] + (wave_number * y)[..., None] * flat[:, 1])
-    return wrapped(np.stack(columns, axis=-2))
+    return wrapped(xp.stack(columns, axis=-2))
 
 
 def antenna_arrays(
@@ -82,38 +78,46 @@ def antenna_arrays(
     return antennas, np.array([station.wavelength for station in stations], float)
 
 
-@dataclass(frozen=True)
-class SimulatedPhases:
-    """Phases of n beacons at T times with their truth.
+WAVES = MappingProxyType({"spherical": spherical_phases, "plane": plane_phases})
 
-    `times` (T,) s; `positions` (n, T, 3) m, float64; `phases` (n, T, stations, antennas) rad in (-pi, pi], float32,
-    zero where not `seen`; stations in the order of `rig.stations`; `ids` (n,): the trajectory ids.
+
+class PhaseDraw(AbstractRigDraw):
+    """Phases at all stations of the rig along a path, at `n_points` times: of a spherical (or plane) wave.
+
+    Each row of a station has a random common offset, each phase white noise of `sigma_p` rad. `path`: a name of `PATHS`
+    or a function. `corruptions`: by name, in order. Its arrays: `positions` (n, T, 3) m, float64; `phases` (n, T,
+    stations, antennas) rad in (-pi, pi], float32, where `seen`, stations in the order of the rig. Raises ValueError for
+    stations without arrays.
     """
 
-    times: Float[np.ndarray, " T"]
-    positions: Float64[np.ndarray, "n T 3"]
-    phases: Float32[np.ndarray, "n T stations antennas"]
-    seen: Bool[np.ndarray, "n T stations antennas"]
-    rig: Rig
-    ids: Int[np.ndarray, " n"]
+    path: str | PathFunction = static(default="helix")
+    sigma_p: float = 0.1
+    wave: Literal["spherical", "plane"] = static(default="spherical")
 
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder: a row of phases per tag, time and station with at least one, and truth in space."""
-        heard = self.seen.any(axis=-1)
-        tag, row, station = np.nonzero(heard)
-        values = self.phases.astype(np.float64).reshape(-1, self.phases.shape[-1])
-        if not self.seen.all():
-            values[~self.seen.reshape(values.shape)] = np.nan
-            values = values[heard.ravel()]
-        phases = ArrayRows.of_entries(
-            tag,
-            self.ids,
-            self.times[row],
-            {tuple(f"phase_{k + 1}_rad" for k in range(values.shape[1])): values},
-            {"station": (station, list(self.rig.stations))},
-        )
-        tables = {"phases": phases, "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
-        return folder_of(name, tables, self.ids, stations=self.rig.stations)
+    measured = MappingProxyType({"phases": "seen"})
+    size = 64
+
+    def __check_init__(self) -> None:
+        antenna_arrays(list(self.rig.stations.values()))
+
+    def arrays(self, keys: Keys) -> dict[str, Any]:
+        times, stations = self.times, list(self.rig.stations.values())
+        positions = self.positions(keys, times)
+        common = uniforms(stream(keys, "common phase"), (self.n_points, len(stations)))
+        values = WAVES[self.wave](stations, positions) + 2 * np.pi * in_dtype(common, positions)[..., None]
+        values = values.astype(np.float32)
+        values = values + in_dtype(self.sigma_p * normals(stream(keys, "phase noise"), values.shape[1:]), values)
+        values, seen = corrupted(self.corruptions, stream(keys, "corruptions"), times, values)
+        # In float32, pi is rounded up: the clip keeps the values in (-pi, pi].
+        values = namespace(values).clip(wrapped(values.astype(float)).astype(np.float32), -_BELOW_PI, _BELOW_PI)
+        return {"positions": positions, "phases": values, "seen": seen}
+
+    def rows(self, world: SimulatedWorld) -> dict[str, ArrayRows]:
+        """A row per tag, time and station with at least one phase."""
+        values = np.where(world.seen, world.arrays["phases"].astype(np.float64), np.nan)
+        columns = {tuple(f"phase_{k + 1}_rad" for k in range(values.shape[-1])): values}
+        stations = {"station": (np.arange(len(self.rig.stations)), [*self.rig.stations])}
+        return {"phases": ArrayRows(world.times, world.ids, columns, world.seen.any(axis=-1), stations)}
 
 
 def work_station(antennas: Float[np.ndarray, "n 2"] | None = None, radius: float = 0.4) -> Rig:
@@ -161,107 +165,39 @@ def facing(
     return row / np.linalg.norm(row)
 
 
-def simulate_phases(
-    rig: Rig,
-    path: str | PathFunction = "helix",
-    n: int | Sequence[int] | np.ndarray = 1,
-    seed: int = 0,
-    *,
-    rate_hz: float = 10.0,
-    n_points: int = 200,
-    sigma_p: float = 0.1,
-    wave: Literal["spherical", "plane"] = "spherical",
-    corruptions: Mapping[str, Corruption] = MappingProxyType({}),
-) -> SimulatedPhases:
-    """Trajectories, `n` or with the ids `n`, of `n_points` rows of phases at all stations of the rig, with truth.
-
-    Phases of a spherical (or plane) wave, a random common offset per row and station, white noise of `sigma_p` rad.
-    `corruptions`: by name, which is the random stream, in order. A trajectory depends on the seed and its id alone.
-    Raises ValueError for stations without arrays.
-    """
-    stations = list(rig.stations.values())
-    shape = antenna_arrays(stations)[0].shape[:2]
-    move = PATHS[path] if isinstance(path, str) else path
-    waves = {"spherical": spherical_phases, "plane": plane_phases}[wave]
-    noise = {"phase noise": white_noise(sigma_p)} if sigma_p > 0 else {}
-    times = np.arange(n_points) / rate_hz
-
-    ids = trajectory_ids(n)
-    positions = np.empty((len(ids), n_points, 3))
-    phases = np.empty((len(ids), n_points, *shape), np.float32)
-    seen = np.empty(phases.shape, bool)
-    for start in range(0, len(ids), _CHUNK):
-        chunk = ids[start : start + _CHUNK]
-        here = slice(start, start + len(chunk))
-        keys = trajectory_keys(seed, np.pad(chunk, (0, _CHUNK - len(chunk)), mode="edge"))
-        where = move(stream(keys, "path"), times)
-        common = 2 * np.pi * uniforms(stream(keys, "common phase"), (n_points, shape[0])).astype(float)
-        values = waves(stations, where) + common[..., None]
-        values, visible = corrupted(noise, keys, times, values.astype(np.float32), np.ones(values.shape, bool))
-        values, visible = corrupted(corruptions, stream(keys, "corruptions"), times, values, visible)
-        # In float32, pi is rounded up: the clip keeps the values in (-pi, pi].
-        values = np.clip(wrapped(values).astype(np.float32), -_BELOW_PI, _BELOW_PI)
-        positions[here] = where[: len(chunk)]
-        phases[here] = np.where(visible, values, np.float32(0))[: len(chunk)]
-        seen[here] = visible[: len(chunk)]
-    return SimulatedPhases(times, positions, phases, seen, rig, ids)
-
-
 def with_stations(rig: Rig, centre: Float[np.ndarray, " 3"], count: int) -> Rig:
     """The rig with stations at its first `count` anchors, by their names, that face `centre`, m."""
     places = list(rig.anchors.items())[:count]
     return replace(rig, stations={name: Station(p, facing(p, centre, (0.0, 0.0, 1.0))) for name, p in places})
 
 
-@dataclass(frozen=True)
-class SimulatedFusion:
-    """Ranges of n tags at T times, and azimuth and elevation at S stations of the same rig.
+class FusionDraw(AbstractDraw):
+    """Ranges, and azimuth and elevation at the stations of the same rig.
 
-    `angles` (n, T, 2·S) rad, of each station in the order of `rig.stations`, where `seen`.
+    `of_angles`: corruptions of the angles by name, in order. Its arrays: those of the ranges; `angles` (n, T,
+    2·stations) rad, where `heard`, azimuth and elevation of each station in the order of the rig.
     """
 
-    ranges: SimulatedRanges
-    angles: Float[np.ndarray, "n T angles"]
-    seen: Bool[np.ndarray, "n T angles"]
+    ranges: RangeDraw
+    of_angles: Mapping[str, Corruption] = by_name(default_factory=dict)
+
+    measured = MappingProxyType({"ranges": "seen", "angles": "heard"})
+    size = 32
 
     @property
-    def ids(self) -> Int[np.ndarray, " n"]:
-        """The trajectory ids."""
-        return self.ranges.ids
+    def times(self) -> Float[np.ndarray, " T"]:
+        return self.ranges.times
 
-    def rows(self) -> ArrayRows:
-        """A row per azimuth and elevation of a station."""
-        tag, row, station = np.nonzero(self.seen[..., ::2])
-        values = np.stack([self.angles[tag, row, 2 * station + k] for k in range(2)], axis=1)
-        return ArrayRows.of_entries(
-            tag,
-            self.ids,
-            self.ranges.times[row],
-            {("azimuth_rad", "elevation_rad"): values.astype(float)},
-            {"station": (station, list(self.ranges.rig.stations))},
-        )
+    def arrays(self, keys: Keys) -> dict[str, Any]:
+        ranged, stations = self.ranges(keys), self.ranges.rig.stations.values()
+        xp = namespace(ranged["positions"])
+        angles = xp.concatenate([station.angles(ranged["positions"]) for station in stations], axis=2)
+        angles, heard = corrupted(self.of_angles, stream(stream(keys, "angles"), "corruptions"), self.times, angles)
+        return {**ranged, "angles": angles, "heard": heard}
 
-    def folder(self, name: str) -> RecordingFolder:
-        """The recording folder: a row per range and per pair of angles, and truth in space."""
-        measured = self.ranges
-        truth = ArrayRows.regular(measured.times, self.ids, {AXES: measured.positions})
-        tables = {"ranges": measured.rows(), "bearings": self.rows(), "truth": truth}
-        return folder_of(name, tables, self.ids, anchors=measured.rig.anchors, stations=measured.rig.stations)
-
-
-def simulate_fusion(
-    ranges: SimulatedRanges, seed: int, corruptions: Mapping[str, Corruption] = MappingProxyType({})
-) -> SimulatedFusion:
-    """The ranges with the angles at the stations of their rig; `seed`: of the ranges.
-
-    `corruptions`: of the angles (n, T, 2·S), rad, by name, which is the random stream, in order.
-    """
-    stations = list(ranges.rig.stations.values())
-
-    def measured(keys: Keys, positions: np.ndarray) -> tuple[np.ndarray, ...]:
-        angles = np.concatenate([station.angles(positions) for station in stations], axis=2)
-        keys = stream(stream(keys, "angles"), "corruptions")
-        return corrupted(corruptions, keys, ranges.times, angles, np.ones(angles.shape, bool))
-
-    angles, seen = in_blocks(measured, trajectory_keys(seed, ranges.ids), ranges.positions, size=32)
-    return SimulatedFusion(ranges, angles, seen)
+    def folder(self, world: SimulatedWorld) -> RecordingFolder:
+        """A row per range and per pair of angles, and truth in space."""
+        heard, names = world.heard[..., ::2], [*self.ranges.rig.stations]
+        columns = {("azimuth_rad", "elevation_rad"): world.arrays["angles"].reshape(*heard.shape, 2)}
+        stations = {"station": (np.arange(len(names)), names)}
+        return self.ranges.folder(world, bearings=ArrayRows(world.times, world.ids, columns, heard, stations))

@@ -12,25 +12,27 @@ is imported when a world is called, so that they can be listed at once.
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial, wraps
 from numbers import Integral, Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, get_args, get_origin, get_type_hints
+
+from trackwright import sim
 
 if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Int
 
     from trackwright.sim.corruptions import Corruption
-    from trackwright.trackers.core.data.recording import Recording
+    from trackwright.sim.tables import AbstractDraw, SimulatedWorld
     from trackwright.trackers.recordings.folder import RecordingFolder
 
-__all__ = ["WORLDS", "SimulatedWorld", "agv", "body", "fusion", "line", "ranges", "station", "tdoa", "tool"]
+__all__ = ["WORLDS", "agv", "body", "fusion", "line", "ranges", "station", "tdoa", "tool"]
 
 P = ParamSpec("P")
-R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -53,26 +55,30 @@ class ParameterError(ValueError):
         self.name, self.value, self.expected = name, value, expected
 
 
-def checked(world: Callable[P, R]) -> Callable[P, R]:
+def checked(world: Callable[P, SimulatedWorld]) -> Callable[P, SimulatedWorld]:
     """The function with its arguments checked against their annotations before the call.
 
     It raises TypeError for an unknown parameter, ParameterError for a value outside its range or choices.
     """
-    signature, hints = inspect.signature(world), get_type_hints(world, include_extras=True)
+    # The name of what a world gives is imported by type checkers alone.
+    hints = get_type_hints(world, localns={"SimulatedWorld": Any}, include_extras=True)
+    signature = inspect.signature(world)
 
     @wraps(world)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+    def call(*args: P.args, **kwargs: P.kwargs) -> SimulatedWorld:
         refuse_unknown(kwargs, signature.parameters)
         for name, value in signature.bind(*args, **kwargs).arguments.items():
             kind, *allowed = get_args(hints[name]) or (hints[name],)
             if get_origin(hints[name]) is Literal and value not in get_args(hints[name]):
                 raise ParameterError(name, value, f"one of {', '.join(get_args(hints[name]))}")
-            for of in (x for x in allowed if isinstance(x, Range)):
+            # A traced level has no value to check.
+            for of in (x for x in allowed if isinstance(x, Range) and not hasattr(value, "aval")):
                 number = isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
                 if not (number and of.low <= value <= of.high) or (of.open and value == of.high):
                     raise ParameterError(name, value, f"a {'whole ' if kind is int else ''}number {of}")
         return world(*args, **kwargs)
 
+    call.__annotations__ = hints
     return call
 
 
@@ -90,40 +96,6 @@ Level = Annotated[float, Range(0.0, 10.0)]
 Hidden = Annotated[float, Range(0.0, 0.9)]
 Share = Annotated[float, Range(0.0, 0.99)]
 Ids = Collection[int] | None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SimulatedWorld:
-    """Simulated trajectories with truth: `arrays`, e.g. a `SimulatedLine`; `name` of their recording folder."""
-
-    name: str
-    arrays: Any
-
-    def folder(self) -> RecordingFolder:
-        """The recording folder in memory: tables, rig and truth, one tag per trajectory."""
-        return self.arrays.folder(self.name)
-
-    def recordings(self, tracker: str | None = None, free_height: bool = False) -> list[Recording]:
-        """The rows that a tracker reads, one recording per trajectory or, for bearings, per trajectory and station.
-
-        `tracker`: a name of `trackers.catalogue`, by default the one that fits the folder. `free_height`: heights are
-        estimated even where they are known. Raises UnusableInput for a tracker that lacks a table here.
-        """
-        from trackwright.trackers import catalogue
-        from trackwright.trackers.recordings.trajectories import known_height
-
-        folder = self.folder()
-        name = tracker or catalogue.fitting(folder)
-        batches, found = catalogue.spec_of(name).batches([folder], name, free_height), []
-        for one in (one for batch in batches for one in batch.trajectories):
-            # The input `height` only where the rig gives the tag one.
-            unknown = {"height"} if known_height(folder, one.tag) is None else set()
-            inputs = {key: x for key, x in one.recording.inputs.items() if key not in unknown}
-            found.append(replace(one.recording, inputs=inputs))
-        return found
-
-    def __repr__(self) -> str:
-        return f"<SimulatedWorld '{self.name}': {len(self.arrays.ids)} trajectories, {type(self.arrays).__name__}>"
 
 
 @checked
@@ -155,29 +127,21 @@ def station(
         lost_station: a station (1, 2 or 3) without any measurement.
         masked_antenna: a station and one of its antennas (1 … 8) without any measurement.
     """
-    import numpy as np
-
-    from trackwright.sim import corruptions
-    from trackwright.sim.stations import simulate_phases, work_station
-
-    rig = work_station()
+    rig = sim.work_station()
     errors = _present(
-        {"gauss-markov": (corruptions.gauss_markov, gauss_markov, 1.0),
-         "outliers": (corruptions.outliers, outliers, np.pi), "drop-outs": (corruptions.drop_outs, drop_outs)}
+        {"gauss-markov": (sim.gauss_markov, gauss_markov, 1.0), "outliers": (sim.outliers, outliers, math.pi),
+         "drop-outs": (sim.drop_outs, drop_outs)}
     )  # fmt: skip
     if lost_station is not None:
         if lost_station not in rig.stations:
             raise ParameterError("lost_station", lost_station, "one of the stations 1, 2 and 3")
-        errors["lost station"] = corruptions.lose_station(int(lost_station) - 1)
+        errors["lost station"] = sim.lose_station(int(lost_station) - 1)
     if masked_antenna is not None:
         name, antenna = masked_antenna
         if name not in rig.stations or not 1 <= antenna <= 8:
             raise ParameterError("masked_antenna", masked_antenna, "a station, 1 to 3, and an antenna, 1 to 8")
-        errors["masked antenna"] = corruptions.mask_antenna(int(name) - 1, antenna - 1)
-    world = simulate_phases(
-        rig, path, _ids(n, ids), seed, rate_hz=rate_hz, n_points=rows, sigma_p=sigma_p, corruptions=errors
-    )
-    return SimulatedWorld(f"simulated-{path}-{seed}", world)
+        errors["masked antenna"] = sim.mask_antenna(int(name) - 1, antenna - 1)
+    return _drawn(path, sim.PhaseDraw(rig, path, errors, rate_hz, rows, sigma_p), n, seed, ids)
 
 
 @checked
@@ -197,10 +161,7 @@ def line(
         speed: mean speed along the line, m/s.
         rate_hz: fixes per second.
     """
-    from trackwright.sim.line import simulate_line
-
-    world = simulate_line(situation, _ids(n, ids), seed, speed=speed, rate_hz=rate_hz)
-    return SimulatedWorld(f"simulated-line-{situation}-{seed}", world)
+    return _drawn(f"line-{situation}", sim.LineDraw(situation, speed=speed, rate_hz=rate_hz), n, seed, ids)
 
 
 @checked
@@ -226,11 +187,8 @@ def ranges(
         hidden: share of the time for which an anchor has no line of sight, and its ranges are too long.
         lost: share of the ranges that are missing.
     """
-    from trackwright.sim.ranging import chamber, simulate_ranges
-
     errors = _errors_of_anchors(bias, 0.0, hidden, sigma_r, lost)
-    world = simulate_ranges(chamber(), n=_ids(n, ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=errors)
-    return SimulatedWorld(f"simulated-ranges-{seed}", world)
+    return _drawn("ranges", sim.RangeDraw(sim.chamber(), sim.WALK, errors, rate_hz, rows), n, seed, ids)
 
 
 @checked
@@ -262,20 +220,12 @@ def tdoa(
         hidden: share of the time for which an anchor has no line of sight, and its signal is late.
         lost: share of an anchor's signals that are lost.
     """
-    import math
-
-    import numpy as np
-
-    from trackwright.sim.imu import with_imu
-    from trackwright.sim.ranging import CORNERS, WALK, chamber, simulate_differences
+    from trackwright.sim.ranging import CORNERS
 
     # A difference has the noise of two arrivals.
     errors = _errors_of_anchors(bias, drift, hidden, sigma_d / 2**0.5, lost)
-    how: dict[str, Any] = {"rate_hz": rate_hz, "n_points": rows, "schedule": schedule, "corruptions": errors}
-    world = simulate_differences(chamber(CORNERS), WALK, _ids(n, ids), seed, **how)
-    sampled = np.arange(max(3, math.ceil(world.times[-1] * 100.0) + 1)) / 100.0
-    measured = with_imu(world, WALK, seed, sampled) if imu else world
-    return SimulatedWorld(f"simulated-tdoa-{seed}", measured)
+    draw = sim.DifferenceDraw(sim.chamber(CORNERS), sim.WALK, errors, rate_hz, rows, schedule)
+    return _drawn("tdoa", sim.ImuDraw(draw, imu_hz=100.0) if imu else draw, n, seed, ids)
 
 
 @checked
@@ -307,35 +257,35 @@ def fusion(
         bias_angle: standard deviation of errors of azimuth and elevation that last for 5 s, rad.
         lost: share of the ranges and of the angles that are missing.
     """
-    from trackwright.sim import corruptions
-    from trackwright.sim.ranging import WALK_VOLUME, chamber, simulate_ranges
-    from trackwright.sim.stations import simulate_fusion, with_stations
+    from trackwright.sim.paths import WALK_VOLUME
+    from trackwright.sim.stations import with_stations
 
-    rig = with_stations(chamber(), WALK_VOLUME.mean(axis=0), stations)
+    rig = with_stations(sim.chamber(), WALK_VOLUME.mean(axis=0), stations)
     errors = _errors_of_anchors(bias, 0.0, hidden, sigma_r, lost)
-    ranged = simulate_ranges(rig, n=_ids(n, ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=errors)
     of_angles = _present(
-        {"drift": (corruptions.gauss_markov, bias_angle, 5.0), "white": (corruptions.white_noise, sigma_angle),
-         "lost": (corruptions.drop_outs, lost)}
+        {"drift": (sim.gauss_markov, bias_angle, 5.0), "white": (sim.white_noise, sigma_angle),
+         "lost": (sim.drop_outs, lost)}
     )  # fmt: skip
-    return SimulatedWorld(f"simulated-fusion-{seed}", simulate_fusion(ranged, seed, of_angles))
+    draw = sim.RangeDraw(rig, sim.WALK, errors, rate_hz, rows)
+    return _drawn("fusion", sim.FusionDraw(draw, of_angles), n, seed, ids)
 
 
 def _errors_of_anchors(bias: float, drift: float, hidden: float, sigma: float, lost: float) -> dict[str, Corruption]:
     """The errors of distances to anchors, m, and the shares of hidden and lost ones, as of `ranges` and `tdoa`."""
-    from trackwright.sim import corruptions
-    from trackwright.sim.ranging import antenna_biases, obstruction
-
     return _present(
-        {"biases": (antenna_biases, bias), "drift": (corruptions.gauss_markov, drift, 10.0),
-         "hidden": (obstruction, hidden, 2.0, 0.3, 0.3), "white": (corruptions.white_noise, sigma),
-         "lost": (corruptions.drop_outs, lost)}
+        {"biases": (sim.antenna_biases, bias), "drift": (sim.gauss_markov, drift, 10.0),
+         "hidden": (sim.obstruction, hidden, 2.0, 0.3, 0.3), "white": (sim.white_noise, sigma),
+         "lost": (sim.drop_outs, lost)}
     )  # fmt: skip
 
 
 def _present(levels: Mapping[str, tuple[Any, ...]]) -> dict[str, Corruption]:
     """The corruptions by name, each given as its maker, its level and further numbers, whose level is above zero."""
-    return {name: make(level, *more) for name, (make, level, *more) in levels.items() if level > 0}
+    return {name: make(level, *more) for name, (make, level, *more) in levels.items() if _is_present(level)}
+
+
+def _is_present(level: Any) -> bool:
+    return hasattr(level, "aval") or level > 0
 
 
 @checked
@@ -369,14 +319,11 @@ def body(
         sigma_yaw_rate: white noise of the measured turning rate, rad/s per √Hz.
         lost: share of the ranges that are missing.
     """
-    from trackwright.sim.ranging import chamber, simulate_bodies
-
     of_anchors = _errors_of_anchors(bias, 0.0, hidden, 0.0, 0.0)
     of_ranges = _errors_of_anchors(0.0, 0.0, 0.0, sigma_r, lost)
     wheels = (sigma_slip, sigma_yaw_rate) if odometry else None
-    how: dict[str, Any] = {"tags": tags, "rate_hz": rate_hz, "n_points": rows, "wheels": wheels}
-    world = simulate_bodies(chamber(), _ids(n, ids), seed, of_anchors=of_anchors, of_ranges=of_ranges, **how)
-    return SimulatedWorld(f"simulated-body-{seed}", world)
+    draw = sim.TrolleyDraw(sim.chamber(), tags, rate_hz, rows, of_anchors, of_ranges, wheels)
+    return _drawn("body", draw, n, seed, ids)
 
 
 @checked
@@ -396,14 +343,10 @@ def tool(
         rate_hz: ranges per second; the rate of IMU samples is three times as high.
         gap: start and end of a gap in the IMU's samples, s.
     """
-    from trackwright.sim.imu import simulate_uwb_imu
-    from trackwright.sim.ranging import chamber
-
     if gap is not None and not 0 <= gap[0] < gap[1]:
         raise ParameterError("gap", gap, "two times in seconds, the first before the second")
-    silent = None if gap is None else (gap[0], gap[1])
-    world = simulate_uwb_imu(chamber(), n=_ids(n, ids), seed=seed, rate_hz=rate_hz, n_points=rows, gap_s=silent)
-    return SimulatedWorld(f"simulated-imu-{seed}", world)
+    draw = sim.RangeDraw(sim.chamber(), sim.WALK, {"turn": sim.round_robin()}, rate_hz, rows)
+    return _drawn("imu", sim.ImuDraw(draw, gap_s=None if gap is None else (gap[0], gap[1])), n, seed, ids)
 
 
 @checked
@@ -427,22 +370,18 @@ def agv(
         latency: delay of the fixes, s.
         mirror: share of the time for which heights are mirrored at the anchors' plane.
     """
-    from trackwright.sim import corruptions
-    from trackwright.sim.agv import ANCHOR_HEIGHT, FIX_ERRORS, simulate_agv
+    from trackwright.sim.agv import ANCHOR_HEIGHT, FIX_ERRORS
 
-    def mirrored(share: float) -> Corruption:
-        return corruptions.mirrored_heights(ANCHOR_HEIGHT, share, 3.0)
-
+    mirrored = partial(sim.mirrored_heights, ANCHOR_HEIGHT)
     # Corruptions that depend on the true path come before those that add noise.
-    errors = _present({"late": (corruptions.delayed, latency), "mirrored": (mirrored, mirror)})
-    errors |= {**FIX_ERRORS, **_present({"wild": (corruptions.outliers, wild, 2.0)})}
-    world = simulate_agv(_ids(n, ids), seed, speed=speed, rows=rows, errors=errors)
-    return SimulatedWorld(f"simulated-agv-{seed}", world)
+    errors = _present({"late": (sim.delayed, latency), "mirrored": (mirrored, mirror, 3.0)})
+    errors |= {**FIX_ERRORS, **_present({"wild": (sim.outliers, wild, 2.0)})}
+    return _drawn("agv", sim.VehicleDraw(errors, speed=speed, rows=rows), n, seed, ids)
 
 
-def _ids(n: int, ids: Ids) -> int | list[int]:
-    """The number of trajectories, or their ids."""
-    return n if ids is None else list(ids)
+def _drawn(name: str, draw: AbstractDraw, n: int, seed: int, ids: Ids) -> SimulatedWorld:
+    """The world of `n` trajectories or of those with these ids, with the name of its folder."""
+    return draw.drawn(n if ids is None else list(ids), seed, f"simulated-{name}-{seed}")
 
 
 def _folder(

@@ -12,7 +12,7 @@ from trackwright.experiments.cli.main import COMMANDS
 ROOT = Path(__file__).parents[1]
 LINES = {
     "trackers": 23_385,
-    "sim": 2_150,
+    "sim": 1_948,
     "tuning": 4_800,
     "experiments": 9_900,
     "trackwright": 30,

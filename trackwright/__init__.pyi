@@ -1,5 +1,6 @@
 from trackwright import sim as sim
 from trackwright import tuning as tuning
+from trackwright.experiments.monte_carlo.program import expected as expected
 from trackwright.experiments.pages import plot as plot
 from trackwright.sim import worlds as simulate
 from trackwright.trackers import aoa as aoa
@@ -176,6 +177,7 @@ __all__ = [
     "Estimates",
     "Status",
     "evaluate",
+    "expected",
     "Evaluation",
     # trackers ready to run on arrays
     "linear",

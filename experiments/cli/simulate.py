@@ -15,7 +15,7 @@ from trackwright.sim.worlds import ParameterError
 from trackwright.trackers.core.errors import UnusableInput
 
 if TYPE_CHECKING:
-    from trackwright.sim.worlds import SimulatedWorld
+    from trackwright.sim.tables import SimulatedWorld
 
 HELP = {  # of the options that all worlds share
     "out": "the folder to write, one recording in Parquet; it must not exist or be empty.",

@@ -1,16 +1,23 @@
-"""One chunk of a condition: simulate its trajectories, run every tracker on them, and score the estimates."""
+"""One chunk of a condition: draw its trajectories, run every tracker on them, and score the estimates.
+
+All in one program where the tracker's rows are the drawn numbers (`program.py`), else by way of recordings.
+"""
 
 from __future__ import annotations
 
 import fnmatch
 import time
+from dataclasses import dataclass
+from functools import cached_property, partial
+from threading import Lock
 from typing import Any
 
+import jax
 import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
+from trackwright.experiments.monte_carlo.program import ChunkProgram, UnfitError, compiled, part_of, piece_of
 from trackwright.experiments.monte_carlo.tracked import TrackedRuns, scored, tracked_runs
-from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
@@ -20,6 +27,7 @@ from trackwright.trackers.core.model.tunable import tunables, with_values
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.evaluation.bounds import posterior_bound
+from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import TrackerBatch, rounded
 from trackwright.trackers.recordings.trajectories import Trajectories
 
@@ -30,26 +38,71 @@ BOUNDED = 256
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
     """The sums, histograms and measures of these trajectories by tracker; of the `first` chunk bounds and times, too.
     Raises UnusableInput where world, trackers and values do not fit each other."""
-    prepared = _prepared(study, condition, ids)
+    prepared = Prepared(study, condition, ids)
     results = []
     for name, config in study.trackers.items():
-        batches = prepared[name]
-        runs, seconds = _track(batches, ids, study, config)
-        arrays = scored(runs)
-        for measure, function in study.measures.items():
-            values = arrays[f"measure {measure}"] = np.asarray(function(runs), float)
-            if values.shape != ids.shape:
-                found = f"measure '{measure}' returns shape {values.shape}; expected {ids.shape}"
-                raise UnusableInput(f"study '{study.name}': {found}, one number for each trajectory")
+        program, part = _program_of(study, condition, name), part_of(study.seed, ids)
+        run = partial(_scored, prepared, name, config) if program is None else partial(program.run, part)
+        arrays = run()
         if first:
             if "us_per_row" in study.metrics:
                 # A second run: the first one also compiled.
-                seconds = _track(batches, ids, study, config)[1]
-                arrays["us_per_row"] = np.array(1e6 * seconds / max(np.sum(runs.status != Status.PADDING), 1))
+                began = time.perf_counter()
+                run()
+                seconds = time.perf_counter() - began
+                arrays["us_per_row"] = np.array(1e6 * seconds / max(np.sum(arrays["sum n_rows"]), 1))
             if any(metric.startswith("bound") for metric in study.metrics):
-                arrays["bounds"] = _bounds(batches)
+                arrays["bounds"] = _bounds(prepared.batches[name])
         results.append(arrays)
     return results
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The batches of every tracker of the trajectories with these ids, simulated where a tracker asks for them."""
+
+    study: Study
+    condition: Condition
+    ids: np.ndarray
+
+    @cached_property
+    def batches(self) -> dict[str, list[TrackerBatch]]:
+        """By tracker."""
+        return _prepared(self.study, self.condition, self.ids)
+
+
+def _scored(prepared: Prepared, name: str, config: TrackerConfig) -> dict[str, np.ndarray]:
+    """The sums, histograms and measures of a tracker's estimates of recordings."""
+    study, ids = prepared.study, prepared.ids
+    runs = _track(prepared.batches[name], ids, study, config)
+    arrays = scored(runs)
+    for measure, function in study.measures.items():
+        values = arrays[f"measure {measure}"] = np.asarray(function(runs), float)
+        if values.shape != ids.shape:
+            found = f"measure '{measure}' returns shape {values.shape}; expected {ids.shape}"
+            raise UnusableInput(f"study '{study.name}': {found}, one number for each trajectory")
+    return arrays
+
+
+_building = Lock()
+
+
+def _program_of(study: Study, condition: Condition, name: str) -> ChunkProgram | None:
+    """The program of a tracker in a condition, made at its first chunk; None where recordings are needed."""
+    with _building:
+        key = condition.index, name, bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
+        if key not in study.programs:
+            study.programs[key] = None if study.measures else _made(study, condition, name)
+        return study.programs[key]
+
+
+def _made(study: Study, condition: Condition, name: str) -> ChunkProgram | None:
+    config, ids = study.trackers[name], np.zeros(piece_of(study.chunk), int)
+    part, batches = part_of(study.seed, ids), partial(_batches, study, condition, name)
+    try:
+        return compiled(_folder(study, condition, ids[:1]), batches, config.every, part)
+    except UnfitError:
+        return None
 
 
 def require_fitting_parts(study: Study) -> None:
@@ -61,37 +114,43 @@ def require_fitting_parts(study: Study) -> None:
 def _prepared(study: Study, condition: Condition, ids: np.ndarray) -> dict[str, list[TrackerBatch]]:
     """The batches of every tracker of the simulated trajectories with these ids, with the values of its own and of the
     grid. Raises UnusableInput for a name in the grid that matches no tunable of any tracker."""
-    where = f"study '{study.name}'"
-    try:
-        folder = study.worlds[condition.world].make(ids, study.seed, **study.numbers(condition))
-    except (TypeError, ValueError) as error:
-        raise UnusableInput(f"{where}, world '{condition.world}': {error}") from error
-    grid, known = {k: v for k, v in condition.numbers.items() if not k.startswith(WORLD)}, set[str]()
-    prepared: dict[str, list[TrackerBatch]] = {}
-    for name, config in study.trackers.items():
-        for batch in config.spec.batches([folder], name, config.free_height):
-            of = f"{where}, tracker '{name}'"
-            names = list(tunables(batch.tracker))
-            known.update(names)
-            own = {pattern: value for pattern, value in grid.items() if fnmatch.filter(names, pattern)}
-            tracker: Any = with_values(with_values(batch.tracker, dict(config.tunables), of), own, of)
-            try:
-                tracker = Smoothed(tracker, None) if config.smooth else tracker
-            except TypeError as error:
-                raise UnusableInput(f"{of}: smooth: {error}; remove `smooth`") from error
-            prepared.setdefault(name, []).append(TrackerBatch(tracker, batch.trajectories, batch.planar))
-    for pattern in grid:
+    folder = _folder(study, condition, ids)
+    prepared = {name: _batches(study, condition, name, folder) for name in study.trackers}
+    known = {tunable for batches in prepared.values() for batch in batches for tunable in tunables(batch.tracker)}
+    for pattern in (k for k in condition.numbers if not k.startswith(WORLD)):
         if not fnmatch.filter(known, pattern):
             fix = f"expected 'world.' and a parameter of the worlds, or one of {', '.join(sorted(known))}"
-            raise UnusableInput(f"{where}: grid '{pattern}': no tracker has such a tunable; {fix}")
+            raise UnusableInput(f"study '{study.name}': grid '{pattern}': no tracker has such a tunable; {fix}")
     return prepared
 
 
-def _track(
-    batches: list[TrackerBatch], ids: np.ndarray, study: Study, config: TrackerConfig
-) -> tuple[TrackedRuns, float]:
-    """The estimates of all trajectories, and the computing time of the trackers, s."""
-    tracked, seconds = [], 0.0
+def _folder(study: Study, condition: Condition, ids: np.ndarray) -> RecordingFolder:
+    """The simulated folder of these trajectories; raises UnusableInput for numbers that do not fit the world."""
+    try:
+        return study.worlds[condition.world].make(ids, study.seed, **study.numbers(condition))
+    except (TypeError, ValueError) as error:
+        raise UnusableInput(f"study '{study.name}', world '{condition.world}': {error}") from error
+
+
+def _batches(study: Study, condition: Condition, name: str, folder: RecordingFolder) -> list[TrackerBatch]:
+    """The batches of a folder for a tracker, with the values of its own and of the grid."""
+    of, config, batches = f"study '{study.name}', tracker '{name}'", study.trackers[name], []
+    grid = {k: v for k, v in condition.numbers.items() if not k.startswith(WORLD)}
+    for batch in config.spec.batches([folder], name, config.free_height):
+        names = list(tunables(batch.tracker))
+        own = {pattern: value for pattern, value in grid.items() if fnmatch.filter(names, pattern)}
+        tracker: Any = with_values(with_values(batch.tracker, dict(config.tunables), of), own, of)
+        try:
+            tracker = Smoothed(tracker, None) if config.smooth else tracker
+        except TypeError as error:
+            raise UnusableInput(f"{of}: smooth: {error}; remove `smooth`") from error
+        batches.append(TrackerBatch(tracker, batch.trajectories, batch.planar))
+    return batches
+
+
+def _track(batches: list[TrackerBatch], ids: np.ndarray, study: Study, config: TrackerConfig) -> TrackedRuns:
+    """The estimates of all trajectories."""
+    tracked = []
     for batch in batches:
         trajectories = Trajectories.of(batch.trajectories)
         # Further tags of a body are no trajectories of their own.
@@ -100,10 +159,8 @@ def _track(
         stacked = trajectories.columns.batch(rounded(longest), seed=study.seed, truth=False)
         # Padded to whole chunks, so that the bits depend neither on the number of trajectories nor of devices.
         whole = stacked.columns(0, study.chunk * -(-stacked.size // study.chunk))
-        began = time.perf_counter()
-        tracked.append((trajectories, batch.tracker.run(whole, study.chunk)))
-        seconds += time.perf_counter() - began
-    return tracked_runs(ids, tracked, all(batch.planar for batch in batches), config.every), seconds
+        tracked.append((trajectories, batch.tracker.for_positions().run(whole, study.chunk)))
+    return tracked_runs(ids, tracked, all(batch.planar for batch in batches), config.every)
 
 
 def _bounds(batches: list[TrackerBatch]) -> np.ndarray:

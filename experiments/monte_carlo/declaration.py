@@ -104,6 +104,11 @@ class Study:
     source: str = ""
     declared_in: str = ""
 
+    @cached_property
+    def programs(self) -> dict[Any, Any]:
+        """The compiled programs of conditions and trackers (`chunk.py`)."""
+        return {}
+
     @property
     def conditions(self) -> list[Condition]:
         """All worlds at all points of the grid."""

@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from trackwright.experiments.monte_carlo.declaration import Condition, Study
-from trackwright.experiments.monte_carlo.tracked import BIN_WIDTH, BINS, EDGES
+from trackwright.experiments.monte_carlo.scores import BIN_WIDTH, BINS, EDGES
 from trackwright.experiments.text.expectations import Value
 from trackwright.trackers.evaluation.metrics import METRICS, QUANTILES, metrics
 from trackwright.trackers.recordings.columns import float_column

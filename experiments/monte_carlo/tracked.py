@@ -6,23 +6,14 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import polars as pl
 
-from trackwright.trackers.core.data.consistency import nees_of_leading, upper_entries
+from trackwright.experiments.monte_carlo.scores import Scores, arrays_of, cells, sums
 from trackwright.trackers.core.data.estimates import Estimates, Status, is_usable
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.evaluation.metrics import terms_of
-from trackwright.trackers.evaluation.rows import ANGLES, AXES, bearing_sizes, position_sizes
 from trackwright.trackers.recordings.columns import TruthStatus
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import angles
 from trackwright.trackers.recordings.trajectories import Trajectories
-
-SMALLEST, BIN_WIDTH, BINS = 1e-6, 0.02, 1201
-"""Bins from 1e-6 to 2.6e4 (m, rad or NEES), of relative width BIN_WIDTH; other values fall in the end bins."""
-
-EDGES = SMALLEST * np.exp(BIN_WIDTH * np.arange(BINS))
-"""Upper edges of the bins."""
 
 
 class TrackedRuns(NamedTuple):
@@ -49,59 +40,19 @@ class TrackedRuns(NamedTuple):
 
 
 def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
-    """Arrays of n trajectories by name: each `sum` and `largest` (n,) as of `metrics.sums`, and of each kind a
-    histogram. The histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`. The rows of all stations
-    count as rows of their trajectory."""
-    n, bearing = len(tracked.estimates), tracked.estimates.ndim == 4
-    known, status = tracked.known.reshape(n, -1), tracked.status.reshape(n, -1)
-    there = status != Status.PADDING
-    if bearing:
-        error, sizes = bearing_sizes(tracked.estimates, tracked.truth)
-    else:
-        error = tracked.estimates - tracked.truth
-        sizes = position_sizes(error)
-    errors = np.where(known.reshape(-1, 1), error.reshape(known.size, -1), np.nan)
-    columns = {f"error_{name}": x for name, x in zip(ANGLES if bearing else AXES, errors.T, strict=True)}
-    columns |= {f"size_{kind}": np.where(known, x.reshape(known.shape), np.nan).ravel() for kind, x in sizes.items()}
-    d = tracked.covariance.shape[-1]
-    entries = upper_entries(tracked.covariance.reshape(known.size, d, d))
-    columns |= dict(zip(("nees", "nees_3d"), nees_of_leading(errors[:, :d], entries)[1:], strict=False))
-    columns["nis"] = np.where(there, tracked.nis.reshape(there.shape), np.nan).ravel()
-    columns |= {"nis_dof": tracked.dof.ravel(), "lost": (status == Status.LOST).ravel()}
-    columns["track"] = np.where(there, 0.0, np.nan).ravel()
-    rows = pl.DataFrame({name: pl.Series(x, nan_to_null=True) for name, x in columns.items()})
-    sums = {
-        term.name: term.cast(pl.Float64).fill_null(0.0).to_numpy().reshape(known.shape).sum(axis=1)
-        for term in terms_of(rows)
-    }
-    sums |= {
-        "n": known.sum(axis=1),
-        "diverged": np.isin(status, (Status.LOST, Status.RESTARTED, Status.NON_FINITE)).any(axis=1),
-        "failed": (status == Status.NON_FINITE).any(axis=1) | ~known.any(axis=1),
-        "trajectories": np.ones(n),
-    }
-    arrays = {f"sum {name}": x.astype(float) for name, x in sums.items()}
-    for kind in sizes:
-        size = columns[f"size_{kind}"].reshape(known.shape)
-        top = np.where(np.isnan(size), -1.0, size).max(axis=1)
-        arrays[f"largest {kind}"] = np.where(top < 0, np.nan, top)
-        arrays[f"cells {kind}"], arrays[f"counts {kind}"] = _histograms(size)
-    return arrays
+    """The sums, largest errors and histograms of n trajectories; rows of all stations count as their trajectory's."""
+    n, d = len(tracked.estimates), tracked.covariance.shape[-1]
+    entries = {(i, j): tracked.covariance[..., i, j] for i in range(d) for j in range(i, d)}
+    steps = tracked.status, tracked.nis, tracked.dof
 
+    def total(x: np.ndarray) -> np.ndarray:
+        return x.reshape(n, -1).sum(axis=1, dtype=float)
 
-def _histograms(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A sparse (n, BINS) histogram of sizes (n, T), NaN left out: flat indices and their counts."""
-    there = ~np.isnan(size)
-    cells = np.bincount(np.broadcast_to(BINS * np.arange(len(size))[:, None], size.shape)[there] + bins(size[there]))
-    filled = np.flatnonzero(cells)
-    return filled, cells[filled]
-
-
-def bins(values: np.ndarray) -> np.ndarray:
-    """The bin number of each value."""
-    with np.errstate(divide="ignore"):
-        at = np.ceil(np.log(np.maximum(values, 0.0) / SMALLEST) / BIN_WIDTH)
-    return np.clip(at, 0, BINS - 1).astype(np.int64)
+    found, sizes = sums(tracked.estimates, tracked.truth, entries, tracked.known, steps, total)
+    rows = {kind: size.reshape(n, -1) for kind, size in sizes.items()}
+    tops = {kind: size.max(axis=1) for kind, size in rows.items()}
+    of_rows = {kind: cells(size, np.arange(n)[:, None], n) for kind, size in rows.items()}
+    return arrays_of([Scores(found, tops, of_rows)], n)
 
 
 def tracked_runs(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackwright.sim.agv import Route, simulate_agv
+from trackwright.sim.agv import Route, VehicleDraw
 from trackwright.sim.corruptions import correlated_noise, delayed
 from trackwright.sim.keys import trajectory_keys
 from trackwright.trackers.mhk.tracker import STILL
@@ -19,7 +19,7 @@ def _apply(piece, values=STRAIGHT, n=1):
 
 @pytest.mark.parametrize("speed", [0.3, 1.4])
 def test_the_vehicle_keeps_its_speed_within_its_limits(speed):
-    world = simulate_agv(3, speed=speed, errors={})
+    world = VehicleDraw(speed=speed, errors={}).drawn(3)
     velocity = np.diff(world.positions, axis=1) * 10
     assert world.positions.shape == (3, 2000, 3)
     # Chords of a 1 m corner at 0.14 m a row are shorter than the way by 0.1 %.

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from trackwright.sim import worlds
-from trackwright.sim.corruptions import drop_outs, white_noise
-from trackwright.sim.ranging import CORNERS, antenna_biases, chamber, simulate_differences
+from trackwright.sim.corruptions import antenna_biases, drop_outs, white_noise
+from trackwright.sim.ranging import CORNERS, DifferenceDraw, chamber
 from trackwright.trackers.recordings.kinds import KINDS
 
 RIG = chamber(CORNERS)
@@ -13,7 +13,7 @@ RIG = chamber(CORNERS)
 
 def _errors(**given):
     """The numbers of both anchors of each difference (N, 2), by tag and time, and their errors against truth (N,)."""
-    folder = simulate_differences(RIG, n=6, seed=2, n_points=300, **given).folder("world")
+    folder = DifferenceDraw(RIG, n_points=300, **given).drawn(6, seed=2).folder("world")
     rows = folder.rows("tdoa")
     measured = KINDS["tdoa"].measured(folder.rig, rows)
     return measured.sensors.number, measured.errors(folder.paths.at(rows.tags, rows.starts, rows.times)[0])[:, 0]

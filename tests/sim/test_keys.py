@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from trackwright.sim.keys import in_blocks, normals, stream, trajectory_keys, uniforms
+from trackwright.sim.keys import normals, stream, trajectory_keys, uniforms
 
 
 def test_seed_id_and_stream_each_give_other_numbers():
@@ -19,16 +19,6 @@ def test_draws_are_those_of_jax(draw, of_jax):
     keys = stream(trajectory_keys(3, [0, 2**32 - 1, 5]), "name")
     expected = [of_jax(key, (9999,), np.float32) for key in keys]
     np.testing.assert_array_equal(draw(keys, (9999,)), expected)
-
-
-def test_numbers_drawn_in_blocks_are_those_drawn_together():
-    keys, scale = trajectory_keys(4, np.arange(7)), np.arange(7.0)[:, None]
-
-    def draw(keys, scale):
-        return scale * normals(keys, (5,)), uniforms(keys, (2, 3))
-
-    for together, apart in zip(draw(keys, scale), in_blocks(draw, keys, scale, size=3), strict=True):
-        np.testing.assert_array_equal(apart, together)
 
 
 @pytest.mark.parametrize("double", [False, True])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackwright.sim.line import THESIS_KNOTS, simulate_line
+from trackwright.sim.line import THESIS_KNOTS, LineDraw
 
 
 def _moving(world):
@@ -16,7 +16,7 @@ def _moving(world):
 
 @pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])
 def test_tags_rest_ten_seconds_before_and_after_and_end_at_the_end(situation):
-    world = simulate_line(situation, 5, seed=1)
+    world = LineDraw(situation).drawn(5, seed=1)
     start, end = _moving(world)
     # The rows are 0.2 s apart.
     np.testing.assert_allclose(start, 10.0, atol=0.21)
@@ -26,7 +26,7 @@ def test_tags_rest_ten_seconds_before_and_after_and_end_at_the_end(situation):
 
 
 def test_constant_speed_is_constant_and_halts_last_five_seconds_at_the_joins():
-    constant, halting = simulate_line("constant", 1), simulate_line("halts", 1)
+    constant, halting = LineDraw("constant").drawn(), LineDraw("halts").drawn()
     moving = np.diff(constant.arclength[0])
     assert np.median(moving[moving > 0]) == pytest.approx(0.3 / 5)
     for join in (4.05, 6.159, 10.209, 12.295):
@@ -36,7 +36,7 @@ def test_constant_speed_is_constant_and_halts_last_five_seconds_at_the_joins():
 
 
 def test_errors_are_as_large_as_printed_and_half_of_their_variance_is_slow():
-    world = simulate_line("constant", 200, seed=3)
+    world = LineDraw("constant").drawn(200, seed=3)
     error = world.fixes - world.positions
     # 200 tags x 75 s with a time constant of 1.5 s: about 10,000 independent errors.
     assert np.mean(np.hypot(*np.moveaxis(error, -1, 0))) == pytest.approx(0.39, abs=0.01)
@@ -46,7 +46,7 @@ def test_errors_are_as_large_as_printed_and_half_of_their_variance_is_slow():
 
 
 def test_a_tag_can_be_carried_off():
-    away = simulate_line("constant", 1, errors={}, carried_off=(20.0, 30.0, (0.0, 1.5)))
-    home, inside = simulate_line("constant", 1, errors={}), (away.times >= 20.0) & (away.times < 30.0)
+    away = LineDraw("constant", errors={}, carried_off=(20.0, 30.0, (0.0, 1.5))).drawn()
+    home, inside = LineDraw("constant", errors={}).drawn(), (away.times >= 20.0) & (away.times < 30.0)
     np.testing.assert_array_equal(away.fixes, away.positions)
     np.testing.assert_allclose(away.positions - home.positions, np.where(inside[:, None], [0.0, 1.5], 0.0)[None])

@@ -2,22 +2,10 @@
 
 import numpy as np
 
-from trackwright.sim.imu import level, simulate_uwb_imu
+from trackwright.sim.corruptions import obstruction, on_anchors, round_robin
+from trackwright.sim.imu import ImuDraw, level
 from trackwright.sim.keys import trajectory_keys
-from trackwright.sim.ranging import (
-    CENTRE,
-    CHAMBER,
-    SPEED,
-    WANDER,
-    Protocol,
-    chamber,
-    obstruction,
-    on_anchors,
-    round_robin,
-    rounds,
-    simulate_ranges,
-    two_way_ranges,
-)
+from trackwright.sim.ranging import CENTRE, CHAMBER, SPEED, WANDER, Protocol, RangeDraw, chamber, rounds, two_way_ranges
 from trackwright.trackers.parts.ranges import range_trajectories
 from trackwright.trackers.uwb_imu.trilateration import SPEED_OF_LIGHT
 
@@ -64,7 +52,7 @@ def test_round_robin_leaves_one_anchor_per_row_in_turn():
 
 
 def test_the_folder_has_the_seen_ranges_and_gives_the_rows_of_a_tracker():
-    world = simulate_ranges(chamber(), n=2, seed=1, n_points=20, corruptions={"turns": round_robin()})
+    world = RangeDraw(chamber(), n_points=20, corruptions={"turns": round_robin()}).drawn(2, seed=1)
     folder = world.folder("chamber")
     assert folder.tables["ranges"].height == 40
     trajectories = list(range_trajectories(folder, False))
@@ -92,7 +80,7 @@ def test_a_level_body_at_rest_measures_gravity_alone():
     def rest(keys, times):
         return np.ones((len(keys), len(times), 3))
 
-    world = simulate_uwb_imu(chamber(), rest, 2, n_points=4, accel={}, gyro={}, attitude=level)
+    world = ImuDraw(RangeDraw(chamber(), rest, n_points=4), {}, {}, attitude=level).drawn(2)
     np.testing.assert_allclose(world.accel, np.tile([0.0, 0.0, 9.81], (2, 10, 1)), atol=1e-9)
     np.testing.assert_allclose(world.gyro, 0.0, atol=1e-12)
 

@@ -5,7 +5,7 @@ import pytest
 
 from trackwright import sim
 from trackwright.sim.corruptions import drop_outs, gauss_markov, lose_station, outliers
-from trackwright.sim.stations import facing, plane_phases, simulate_phases, spherical_phases, work_station, wrapped
+from trackwright.sim.stations import PhaseDraw, facing, plane_phases, spherical_phases, work_station, wrapped
 from trackwright.trackers.core.model.rig import Station
 
 RIG = work_station()
@@ -35,11 +35,11 @@ def test_no_bit_of_a_trajectory_depends_on_chunk_batch_or_order(path, monkeypatc
         "n_points": 20,
         "corruptions": {"drift": gauss_markov(0.2, 1.0), "gaps": drop_outs(0.1, 0.3), "wild": outliers(0.1, 1.0)},
     }
-    whole = simulate_phases(RIG, path, 150, seed=4, **settings)
+    whole = PhaseDraw(RIG, path, **settings).drawn(150, seed=4)
     ids = [149, 3, 77, 64, 63]
-    some = simulate_phases(RIG, path, ids, seed=4, **settings)
-    monkeypatch.setattr(sim.stations, "_CHUNK", 7)
-    other = simulate_phases(RIG, path, 150, seed=4, **settings)
+    some = PhaseDraw(RIG, path, **settings).drawn(ids, seed=4)
+    monkeypatch.setattr(sim.stations.PhaseDraw, "size", 7)
+    other = PhaseDraw(RIG, path, **settings).drawn(150, seed=4)
     for name in ("positions", "phases", "seen"):
         assert np.array_equal(getattr(some, name), getattr(whole, name)[ids])
         assert np.array_equal(getattr(other, name), getattr(whole, name))
@@ -47,7 +47,7 @@ def test_no_bit_of_a_trajectory_depends_on_chunk_batch_or_order(path, monkeypatc
 
 @pytest.mark.parametrize(("wave", "ideal_of"), [("spherical", spherical_phases), ("plane", plane_phases)])
 def test_simulated_phases_are_the_ideal_ones_with_noise_of_sigma_p(wave, ideal_of):
-    simulated = simulate_phases(RIG, "hand", 50, seed=1, sigma_p=0.2, wave=wave)
+    simulated = PhaseDraw(RIG, "hand", sigma_p=0.2, wave=wave).drawn(50, seed=1)
     deviations = _deviations(simulated, ideal_of(STATIONS, simulated.positions))
     # 210,000 independent deviations: a standard error of 0.16 %.
     assert np.sqrt((deviations**2).sum() / (deviations.size * 7 / 8)) == pytest.approx(0.2, rel=0.007)
@@ -59,16 +59,15 @@ def test_simulated_phases_are_the_ideal_ones_with_noise_of_sigma_p(wave, ideal_o
 
 
 def test_without_noise_the_phases_are_exact_to_float32():
-    simulated = simulate_phases(RIG, "helix", sigma_p=0.0)
+    simulated = PhaseDraw(RIG, "helix", sigma_p=0.0).drawn()
     deviations = _deviations(simulated, spherical_phases(STATIONS, simulated.positions))
     # Sums of a few float32 angles below 10 rad.
     assert np.abs(deviations).max() < 2e-6
 
 
 def test_phases_are_zero_where_not_seen_and_wrapped_elsewhere():
-    simulated = simulate_phases(
-        RIG, "hand", 20, sigma_p=1.0, corruptions={"lost": lose_station(1, 5.0, 8.0), "gaps": drop_outs(0.2, 0.5)}
-    )
+    lost = {"lost": lose_station(1, 5.0, 8.0), "gaps": drop_outs(0.2, 0.5)}
+    simulated = PhaseDraw(RIG, "hand", lost, sigma_p=1.0).drawn(20)
     assert not simulated.seen[:, 50:80, 1].any()
     assert np.all(simulated.phases[~simulated.seen] == 0)
     assert np.all((simulated.phases.astype(float) > -np.pi) & (simulated.phases.astype(float) <= np.pi))

@@ -8,8 +8,8 @@ import pytest
 
 from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, figure, line_tracker, walks
-from trackwright.sim.agv import simulate_agv
-from trackwright.sim.stations import simulate_phases, work_station
+from trackwright.sim.agv import VehicleDraw
+from trackwright.sim.stations import PhaseDraw, work_station
 from trackwright.sim.worlds import ranges as ranges_world
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.data.recording import stack
@@ -105,13 +105,13 @@ LATENCY = {"sensors.fixes.latency": 0.3}
 
 def _folder(name):
     if name in ("beam", "cascade", "direct"):
-        return simulate_phases(work_station(), n=2, n_points=60).folder("phases")
+        return PhaseDraw(work_station(), n_points=60).drawn(2).folder("phases")
     if name == "uwb":
         folder = ranges_world(n=2, rows=200, seed=1).folder()
         ranges = folder.tables["ranges"].with_columns(t_s=(pl.col("t_s") / 0.2).floor() * 0.2)
         # Rows that share a time: the ranges of 0.2 s.
         return replace(folder, tables=folder.tables | {"ranges": ranges.sort("tag", "t_s", maintain_order=True)})
-    folder = simulate_agv(2, rows=300).folder("agv")
+    folder = VehicleDraw(rows=300).drawn(2).folder("agv")
     if name != "mhk-stamped":
         return folder
     fixes = folder.tables["fixes"]

@@ -139,11 +139,6 @@ def metrics(of: Frame, names: Collection[str] = ()) -> Frame:
     return of.select(**_known(wanted, of)).with_columns(cs.float().fill_nan(None))
 
 
-def terms_of(rows: pl.DataFrame) -> pl.DataFrame:
-    """The `TERMS` (n,) of these rows, those whose columns there are."""
-    return rows.select(**_known(TERMS, rows))
-
-
 def _known(expressions: Mapping[str, pl.Expr], frame: pl.DataFrame | pl.LazyFrame) -> dict[str, pl.Expr]:
     """The expressions of columns that the frame has."""
     columns = {*frame.collect_schema()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -91,9 +92,9 @@ def _starts(track: np.ndarray) -> np.ndarray:
     return np.append(np.flatnonzero(np.diff(track, prepend=track[:1] - 1)), len(track))
 
 
-def wrapped(angles: np.ndarray) -> np.ndarray:
+def wrapped(angles: Any) -> Any:
     """Angles, rad, in (−π, π]."""
-    turned: np.ndarray = np.pi - (np.pi - angles) % (2 * np.pi)
+    turned: Any = np.pi - (np.pi - angles) % (2 * np.pi)
     return turned
 
 
@@ -102,29 +103,31 @@ def main_size(rows: pl.DataFrame) -> str:
     return "size_direction_rad" if is_bearing(rows) else "size_m"
 
 
-def position_sizes(errors: np.ndarray) -> dict[str, np.ndarray]:
+def position_sizes(errors: Any) -> dict[str, Any]:
     """The sizes (…) of errors (…, 3), m, by kind, the main one first; NaN of rows without one."""
-    flat, height = np.hypot(errors[..., 0], errors[..., 1]), errors[..., 2]
-    # If all heights are known, both errors are the same numbers.
-    return {"m": flat, "3d_m": np.sqrt(flat * flat + height**2) if height.any() else flat}
+    xp, height = errors.__array_namespace__(), errors[..., 2]
+    flat = xp.hypot(errors[..., 0], errors[..., 1])
+    # Where a height is known, both errors are the same number.
+    return {"m": flat, "3d_m": xp.where(height == 0, flat, xp.sqrt(flat * flat + height**2))}
 
 
-def bearing_sizes(estimates: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def bearing_sizes(estimates: Any, truth: Any) -> tuple[Any, dict[str, Any]]:
     """The errors (…, 2) of azimuth and elevation, rad, and their sizes (…) by kind, the main one first.
 
     In the plane of an array each azimuth is ± 90°, so that the errors of both angles are unknown.
     """
-    errors, plane = estimates - truth, in_plane(estimates[..., 0])
-    errors[..., 0] = wrapped(errors[..., 0])
-    half, flat = np.sin(errors / 2) ** 2, np.cos(estimates[..., 1]) * np.cos(truth[..., 1])
-    angles = {kind: np.where(plane, np.nan, np.abs(errors[..., k])) for k, kind in enumerate(ANGLES)}
-    haversine = np.minimum(half[..., 1] + flat * half[..., 0], 1.0)
-    return errors, {"direction_rad": 2 * np.arcsin(np.sqrt(haversine))} | angles
+    xp, plane = estimates.__array_namespace__(), in_plane(estimates[..., 0])
+    azimuth, elevation = (estimates - truth)[..., 0], (estimates - truth)[..., 1]
+    errors = xp.stack([wrapped(azimuth), elevation], axis=-1)
+    half, flat = xp.sin(errors / 2) ** 2, xp.cos(estimates[..., 1]) * xp.cos(truth[..., 1])
+    angles = {kind: xp.where(plane, np.nan, xp.abs(errors[..., k])) for k, kind in enumerate(ANGLES)}
+    haversine = xp.minimum(half[..., 1] + flat * half[..., 0], 1.0)
+    return errors, {"direction_rad": 2 * xp.arcsin(xp.sqrt(haversine))} | angles
 
 
-def in_plane(azimuth: np.ndarray) -> np.ndarray:
+def in_plane(azimuth: Any) -> Any:
     """Which directions with these azimuths (n,), rad, lie in the plane of a flat array, where each azimuth is ± 90°."""
-    lying: np.ndarray = np.abs(np.abs(azimuth) - np.pi / 2) < 1e-9
+    lying: Any = abs(abs(azimuth) - np.pi / 2) < 1e-9
     return lying
 
 

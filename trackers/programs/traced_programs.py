@@ -38,9 +38,9 @@ from trackwright.trackers.programs.program_cache import (
     store_in_use,
 )
 
-OURS = ("trackers", "tuning")
+OURS = ("trackers", "tuning", "sim", "experiments/monte_carlo")
 OTHERS = ("builtins", "collections", "copyreg", "equinox", "functools", "jax", "jaxlib", "numpy")
-KNOWN = tuple(f"{name}." for name in (*(f"trackwright.{package}" for package in OURS), *OTHERS))
+KNOWN = tuple(f"{name}." for name in (*(f"trackwright.{x.replace('/', '.')}" for x in OURS), *OTHERS))
 """The packages whose classes and functions may occur in a key, since it has their text or version."""
 
 USERS_FILE = "trackwright_"
@@ -129,6 +129,13 @@ class TracedPrograms:
         except (pickle.PicklingError, TypeError, AttributeError, ValueError):
             return
         self.store.put(name, content)
+
+
+def compiled_program(
+    function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, Any] | None = None
+) -> Program:
+    """The compiled `function(model, part)` for arguments of these types, which no store keeps."""
+    return _called(*_compiled(function, *jax.tree_util.tree_flatten((model, part)), options))
 
 
 def _compiled(

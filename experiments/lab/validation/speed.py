@@ -165,31 +165,25 @@ def study_cases() -> Iterator[Case]:
 
 
 def split(world: str, tracker: str) -> Figures:
-    """Processor time per row of the parts of a chunk: simulated, prepared, run and scored; medians of warm rounds."""
+    """Processor time per row of a chunk, of the tracker alone on its recordings, and their ratio; medians, warm."""
     count = FEWER.get(tracker, TRAJECTORIES)
     runs = count * (2 if count <= 128 else 512)
     study = Study("speed", "", {world: World(worlds.WORLDS[world])}, {tracker: TrackerConfig(tracker)}, runs=runs)
-    (condition,), config, ids = study.conditions, study.trackers[tracker], np.arange(count)
+    (condition,), ids = study.conditions, np.arange(count)
     assert study.chunk == count
+    groups = study.trackers[tracker].spec.batches([study.worlds[world].make(ids, 0)], tracker)
+    stacked = [(g.tracker.for_positions(), batch) for g in groups for _, batch in batches(g.trajectories, truth=False)]
 
-    def one_round() -> tuple[float, ...]:
-        simulate, folder = clocked(lambda: study.worlds[world].make(ids, study.seed))
-        prepare, stacked = clocked(
-            lambda: [
-                (group.tracker, batch)
-                for group in config.spec.batches([folder], tracker)
-                for _, batch in batches(group.trajectories, truth=False)
-            ]
-        )
+    def one_round() -> tuple[float, float]:
         run, _ = clocked(lambda: [model.run(batch, count) for model, batch in stacked])
         whole, _ = clocked(lambda: run_chunk(study, condition, ids, False))
-        rows, parts = sum(np.asarray(batch.valid).sum() for _, batch in stacked), (simulate.cpu, prepare.cpu, run.cpu)
-        return (rows, *parts, whole.cpu - sum(parts), whole.cpu)
+        return run.cpu, whole.cpu
 
-    rows, *warm = np.median([one_round() for _ in range(ROUNDS + 1)][1:], axis=0)
-    names = (f"{part}_us_per_row" for part in ("simulate", "prepare", "run", "score", "whole"))
-    times = dict(zip(names, 1e6 / rows * np.array(warm), strict=True))
-    return {"trajectories": count, "rows": int(rows), **times, **machine()}
+    rows = sum(np.asarray(batch.valid).sum() for _, batch in stacked)
+    run, whole = 1e6 / rows * np.median([one_round() for _ in range(ROUNDS + 1)][1:], axis=0)
+    times = {"run_us_per_row": run, "whole_us_per_row": whole, "ratio": whole / run}
+    program = any(program is not None for program in study.programs.values())
+    return {"trajectories": count, "rows": int(rows), "one_program": program, **times, **machine()}
 
 
 def on_workers(place: str) -> Figures:

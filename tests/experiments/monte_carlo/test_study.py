@@ -5,8 +5,9 @@ import pytest
 from tests.experiments.monte_carlo.small_study import SMALL, TOML
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import run_study
+from trackwright.experiments.monte_carlo.scores import Scores, arrays_of, cells
 from trackwright.experiments.monte_carlo.sources import load_study
-from trackwright.experiments.monte_carlo.tracked import TrackedRuns, _histograms, scored
+from trackwright.experiments.monte_carlo.tracked import TrackedRuns, scored
 from trackwright.experiments.pages.study import to_text
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
@@ -88,11 +89,10 @@ def test_of_directions_in_the_plane_of_an_array_the_angle_alone_is_judged():
 def _accumulated(sizes, histogram):
     """Accumulators of errors (n, T)."""
     n = np.full(len(sizes), float(sizes.shape[1]))
-    kept = {"sum n": n, "sum n m": n, "sum sum m": sizes.sum(axis=1), "sum squares m": (sizes**2).sum(axis=1)}
-    kept["largest m"] = sizes.max(axis=1)
-    if histogram:
-        kept["cells m"], kept["counts m"] = _histograms(sizes)
-    return kept
+    found = {"n": n, "n m": n, "sum m": sizes.sum(axis=1), "squares m": (sizes**2).sum(axis=1)}
+    of_rows = {"m": cells(sizes, np.arange(len(sizes))[:, None], len(sizes))} if histogram else {}
+    kept = arrays_of([Scores(found, {"m": sizes.max(axis=1)} if histogram else {}, of_rows)], len(sizes))
+    return kept | {"largest m": sizes.max(axis=1)}
 
 
 def _coverage(metric, true, rng, repeats=1000, n=200, rows=20):

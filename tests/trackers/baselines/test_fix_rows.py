@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackwright.sim.agv import ANCHOR_HEIGHT, simulate_agv
+from trackwright.sim.agv import ANCHOR_HEIGHT, VehicleDraw
 from trackwright.sim.corruptions import correlated_noise, delayed
 from trackwright.trackers.baselines.rows import mirror_trajectories
 from trackwright.trackers.core.model.rig import Rig, Tag
@@ -19,7 +19,7 @@ LATENCY = 0.4
 @pytest.fixture(scope="module")
 def world():
     errors = {"late": delayed(LATENCY), "noise": correlated_noise(STILL)}
-    return simulate_agv(2, rows=300, speed=1.0, errors=errors).folder("agv")
+    return VehicleDraw(errors, speed=1.0, rows=300).drawn(2).folder("agv")
 
 
 def _with(folder, rig=None, **tables):

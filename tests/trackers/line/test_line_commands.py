@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackwright.sim.line import simulate_line
+from trackwright.sim.line import LineDraw
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.evaluation.evaluate import evaluate
@@ -25,7 +25,7 @@ def _tracked(folders, name):
 
 @pytest.fixture(scope="module")
 def folders():
-    worlds = {s: simulate_line(s, TAGS, seed=1) for s in SITUATIONS}
+    worlds = {s: LineDraw(s).drawn(TAGS, seed=1) for s in SITUATIONS}
     return [world.folder(name) for name, world in worlds.items()]
 
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from trackwright.sim.corruptions import white_noise
-from trackwright.sim.line import THESIS_KNOTS, simulate_line
+from trackwright.sim.line import THESIS_KNOTS, LineDraw
 from trackwright.trackers.line.rows import fit_path_truth
 from trackwright.trackers.line.truth import knot_times
 
 
 @pytest.mark.parametrize("situation", ["constant", pytest.param("halts", marks=pytest.mark.slow), "speeds"])
 def test_without_errors_the_knot_times_are_found(situation):
-    world = simulate_line(situation, 1, seed=5, errors={})
+    world = LineDraw(situation, errors={}).drawn(seed=5)
     fitted = knot_times(THESIS_KNOTS, world.times, world.fixes[0])
     # Times are found by steps that shrink by 0.7 each: what is left is below a millimetre of travel.
     assert fitted.rms < 1e-3
@@ -23,7 +23,7 @@ def test_without_errors_the_knot_times_are_found(situation):
 
 @pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])
 def test_with_the_errors_of_the_thesis_the_truth_is_within_two_decimetres(situation):
-    world = simulate_line(situation, 1, seed=6)
+    world = LineDraw(situation).drawn(seed=6)
     fitted = knot_times(THESIS_KNOTS, world.times, world.fixes[0])
     error = fitted.positions(world.times) - world.positions[0]
     # A slow error of 0.22 m that lasts 1.5 s leaves 0.22·√(2·1.5/7) = 0.14 m after 7 s, half a segment, which
@@ -32,7 +32,7 @@ def test_with_the_errors_of_the_thesis_the_truth_is_within_two_decimetres(situat
 
 
 def test_no_other_knot_times_have_a_smaller_sum_of_squares():
-    world = simulate_line("halts", 1, seed=7, errors={"white": white_noise(0.3)})
+    world = LineDraw("halts", {"white": white_noise(0.3)}).drawn(seed=7)
     times, fixes = world.times, world.fixes[0]
     fitted = knot_times(THESIS_KNOTS, times, fixes)
     rng, events = np.random.default_rng(0), np.stack([fitted.departed, fitted.arrived], axis=1).ravel()
@@ -46,7 +46,7 @@ def test_no_other_knot_times_have_a_smaller_sum_of_squares():
 
 
 def test_a_recording_gets_a_truth_along_its_path():
-    world = simulate_line("halts", 2, seed=8).folder("line")
+    world = LineDraw("halts").drawn(2, seed=8).folder("line")
     fitted, _ = fit_path_truth(world)
     assert fitted.tables["fixes"].equals(world.tables["fixes"])
     both = fitted.tables["truth"].join(world.tables["truth"], on=["t_s", "tag"], suffix="_true")

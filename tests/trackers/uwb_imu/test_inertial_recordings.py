@@ -8,8 +8,9 @@ import pytest
 
 from tests.trackers.recordings.checks.made import with_columns
 from trackwright.sim import worlds
-from trackwright.sim.imu import simulate_uwb_imu
-from trackwright.sim.ranging import chamber
+from trackwright.sim.corruptions import round_robin
+from trackwright.sim.imu import ImuDraw
+from trackwright.sim.ranging import RangeDraw, chamber
 from trackwright.trackers.catalogue import build, fitting
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.rig import Tag
@@ -40,7 +41,11 @@ def _with_and_without(folder, planar):
 
 @pytest.mark.slow
 def test_a_tilting_tag_that_its_known_height_has_taken_for_level_is_named():
-    walk = simulate_uwb_imu(chamber(), n_points=400).folder("walk")
+    walk = (
+        ImuDraw(RangeDraw(chamber(), corruptions={"turn": round_robin()}, rate_hz=40.0, n_points=400))
+        .drawn()
+        .folder("walk")
+    )
     walk = dataclasses.replace(walk, rig=dataclasses.replace(walk.rig, tags={"0": Tag(height=1.2)}))
     (line,) = build("uwb-imu", walk).run(walk).notices
     assert "tag 0 typically tilts by" in line

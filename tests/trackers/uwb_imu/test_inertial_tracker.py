@@ -7,8 +7,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from trackwright.sim.imu import simulate_uwb_imu
-from trackwright.sim.ranging import chamber
+from trackwright.sim.corruptions import round_robin
+from trackwright.sim.imu import ImuDraw
+from trackwright.sim.ranging import RangeDraw, chamber
 from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.rig import Rig, Tag
@@ -40,7 +41,8 @@ def _rmse(x):
 
 @pytest.mark.slow
 def test_the_imu_reduces_the_error_of_ranges_alone_by_at_least_a_fifth():
-    world = simulate_uwb_imu(chamber(), n=TAGS, seed=1, n_points=POINTS, gap_s=(3.0, 5.0)).folder("walks")
+    draw = RangeDraw(chamber(), corruptions={"turn": round_robin()}, rate_hz=40.0, n_points=POINTS)
+    world = ImuDraw(draw, gap_s=(3.0, 5.0)).drawn(TAGS, seed=1).folder("walks")
     recordings = [trajectory.recording for trajectory in inertial_trajectories(world, False)]
     tracker = inertial_tracker(sigma_r=0.05, positive_skew=1.1, dof=10.0, bias=0.0)
     with_imu, without = (

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from trackwright.trackers.core.model.algebra import Scalar
     from trackwright.trackers.core.model.sensor import AbstractSensor
 
-Errors = Float[np.ndarray, "N d"]
+Errors = Float[Any, "*rows d"]
 Covariances = Float[np.ndarray, "N d d"]
-Entries = Mapping[tuple[int, int], Float[np.ndarray, " N"]]
+Entries = Mapping[tuple[int, int], Float[Any, "*rows"]]
 
 NORMAL = 1.96
 """Half the width of the central 95 % interval of a normal distribution, in standard deviations."""
@@ -39,7 +39,9 @@ class Consistency(NamedTuple):
 
 def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
     """NEES eᵀP⁻¹e of each row; NaN where P is not positive definite."""
-    return nees_of_leading(errors, upper_entries(covs))[-1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        parts = [reduced**2 / pivot for reduced, pivot in eliminated(errors, upper_entries(covs))]
+    return np.sum(parts, axis=0)
 
 
 def upper_entries(covs: Covariances) -> Entries:
@@ -48,34 +50,20 @@ def upper_entries(covs: Covariances) -> Entries:
     return {(i, j): covs[:, i, j] for i in range(d) for j in range(i, d)}
 
 
-def nees_of_leading(errors: Errors, upper: Entries) -> list[Float[np.ndarray, " N"]]:
-    """NEES of the first axis, of the first two, … and of all d; NaN where their part of P is not positive definite.
-
-    `upper`: the `upper_entries` of P. Elimination over the d columns, for all rows at once: a singular P affects its
-    row alone.
-    """
-    values: list[np.ndarray] = []
-    with np.errstate(over="ignore", invalid="ignore"):
-        for reduced, pivot in eliminated(errors, upper):
-            value = reduced**2 / pivot
-            values.append(values[-1] + value if values else value)
-    return values
-
-
-def eliminated(errors: Errors, upper: Entries) -> list[tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]]:
+def eliminated(errors: Errors, upper: Entries) -> list[tuple[Float[Any, "*rows"], Float[Any, "*rows"]]]:
     """Of each axis the error less what those before predict, and its variance, NaN where P is not positive definite.
 
     The density of the error is the product of the normal ones of these. `upper`: the `upper_entries` of P.
     """
-    remainder = [np.asarray(x, float) for x in errors.T]
-    P = {at: np.asarray(x, float) for (i, j), x in upper.items() for at in ((i, j), (j, i))}
-    parts: list[tuple[np.ndarray, np.ndarray]] = []
+    xp = errors.__array_namespace__()
+    remainder = [xp.asarray(errors[..., k], float) for k in range(errors.shape[-1])]
+    P = {at: xp.asarray(x, float) for (i, j), x in upper.items() for at in ((i, j), (j, i))}
+    parts: list[tuple[Any, Any]] = []
     least = [1e-12 * P[j, j] for j in range(len(remainder))]  # what rounding leaves of a singular P
     # Covariances of a damaged file may overflow; the NEES of their rows is infinite or NaN.
     with np.errstate(over="ignore", invalid="ignore"):
         for j, reduced in enumerate(remainder):
-            positive = P[j, j] > least[j]
-            pivot = P[j, j] if positive.all() else np.where(positive, P[j, j], math.nan)
+            pivot = xp.where(P[j, j] > least[j], P[j, j], math.nan)
             parts.append((reduced, pivot))
             for a in range(j + 1, len(remainder)):
                 gain = P[a, j] / pivot

@@ -47,7 +47,7 @@ STEP_COLUMNS = ("nis", "nis_dof", "log_likelihood")
 """Columns of tables of estimates: attributes of `Estimates`, summed over the rows of a time."""
 
 
-def is_usable(status: Int[np.ndarray, "*rows"]) -> Bool[np.ndarray, "*rows"]:
+def is_usable(status: Int[Any, "*rows"]) -> Bool[Any, "*rows"]:
     """The mask of `Status` codes of rows with an estimate: neither padding, waiting nor non-finite."""
     return (status == Status.OK) | (status == Status.RESTARTED) | (status == Status.LOST)
 

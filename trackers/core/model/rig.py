@@ -28,10 +28,10 @@ def rotation_matrices(quaternions: Float[np.ndarray, "*rows 4"]) -> Float[np.nda
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def angles_in_array(points: Float[np.ndarray, "3 *rows"]) -> Float[np.ndarray, "*rows 2"]:
+def angles_in_array(points: Float[Any, "3 *rows"]) -> Float[Any, "*rows 2"]:
     """Azimuth and elevation (..., 2), rad, of points in array frames: u = (sin az cos el, sin el, cos az cos el)."""
-    x, y, z = points
-    return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
+    (x, y, z), xp = points, points.__array_namespace__()
+    return xp.stack([xp.arctan2(x, z), xp.arctan2(y, xp.hypot(x, z))], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -61,13 +61,14 @@ class Station:
         """The 3 × 3 matrix that takes array-frame vectors to world-frame vectors; its columns are the array's axes."""
         return rotation_matrices(np.asarray(self.rotation, float) / math.hypot(*self.rotation))
 
-    def position_in_array(self, world: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
+    def position_in_array(self, world: Float[Any, "*rows 3"]) -> Float[Any, "*rows 3"]:
         """World points (..., 3), m, in this station's array frame."""
-        return (np.asarray(world) - self.position) @ self.world_from_array()
+        return (world - np.asarray(self.position)) @ self.world_from_array()
 
-    def angles(self, world: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 2"]:
+    def angles(self, world: Float[Any, "*rows 3"]) -> Float[Any, "*rows 2"]:
         """Azimuth and elevation (..., 2), rad, of world points (..., 3): u = (sin az cos el, sin el, cos az cos el)."""
-        return angles_in_array(np.moveaxis(self.position_in_array(world), -1, 0))
+        points = self.position_in_array(world)
+        return angles_in_array(points.__array_namespace__().moveaxis(points, -1, 0))
 
     def antenna_positions(self) -> Float[np.ndarray, "n 3"]:
         """The antenna positions (n, 3), m, world frame; raises UnusableInput for a station without an array."""

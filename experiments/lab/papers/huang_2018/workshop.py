@@ -15,7 +15,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import RAW, Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
 from trackwright.experiments.text.expectations import listed
-from trackwright.sim.agv import Route, simulate_agv
+from trackwright.sim.agv import Route, VehicleDraw
 from trackwright.sim.corruptions import correlated_noise, gauss_markov, outliers
 from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -30,7 +30,7 @@ def workshop(
 ) -> RecordingFolder:
     """Vehicles whose fixes have the noise at rest, a `drift`, m, and outliers of `size`, m, in a `share` of them."""
     errors = {"noise": correlated_noise(STILL), "drift": gauss_markov(drift, LASTING_S), "wild": outliers(share, size)}
-    return simulate_agv(ids.tolist(), seed, route=ROUTE, speed=speed, errors=errors).folder("workshop")
+    return VehicleDraw(errors, ROUTE, speed).drawn(ids, seed).folder("workshop")
 
 
 def off_route(tracked: mc.TrackedRuns) -> np.ndarray:

@@ -13,7 +13,8 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES, Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
 from trackwright.experiments.text.expectations import listed
-from trackwright.sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
+from trackwright.sim.corruptions import antenna_biases
+from trackwright.sim.ranging import Protocol, RangeDraw, chamber
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 PLACES = {f"tag at ({x:g}, {y:g})": (x, y, 1.8) for x in (0.0, 5.0) for y in (0.0, 5.0)}
@@ -42,11 +43,11 @@ def corner(
     ids: np.ndarray, seed: int, place: tuple[float, float, float], sigma_bias: float, height: float
 ) -> RecordingFolder:
     """Tags at rest at `place`, m; anchors at `height`, m, with normal biases of `sigma_bias`, m."""
-    world = simulate_ranges(
+    draw = RangeDraw(
         chamber(anchors(height)), lambda keys, times: np.tile(np.asarray(place, float), (len(keys), len(times), 1)),
-        ids, seed, n_points=ROWS, protocol=PROTOCOL, corruptions={"biases": antenna_biases(sigma_bias)},
+        {"biases": antenna_biases(sigma_bias)}, n_points=ROWS, protocol=PROTOCOL,
     )  # fmt: skip
-    return world.folder("chamber")
+    return draw.drawn(ids, seed).folder("chamber")
 
 
 def under(z: np.ndarray, folder: RecordingFolder) -> np.ndarray:

@@ -15,8 +15,8 @@ from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
 from trackwright.experiments.lab.papers.kwon_2021.chamber import PROTOCOL
 from trackwright.experiments.text.expectations import listed
-from trackwright.sim.corruptions import Corruption, gauss_markov
-from trackwright.sim.ranging import chamber, obstruction, on_anchors, simulate_ranges
+from trackwright.sim.corruptions import Corruption, gauss_markov, obstruction, on_anchors
+from trackwright.sim.ranging import RangeDraw, chamber
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 HALL = np.array([[0.0, 0.0, 1.8], [8.0, 0.0, 1.8], [0.0, 8.0, 1.8]])
@@ -43,11 +43,11 @@ def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: flo
     if detour:
         # Obstructions last as long as a stop, on average.
         pieces["hidden"] = on_anchors(HIDDEN, obstruction(0.5, REPEATS / 10, detour, detour / 2))
-    world = simulate_ranges(
-        chamber(HALL), lambda keys, times: np.tile(stops, (len(keys), 1, 1)), ids, seed, n_points=len(stops),
-        protocol=PROTOCOL, corruptions=pieces,
+    draw = RangeDraw(
+        chamber(HALL), lambda keys, times: np.tile(stops, (len(keys), 1, 1)), pieces, n_points=len(stops),
+        protocol=PROTOCOL,
     )  # fmt: skip
-    return world.folder("hall")
+    return draw.drawn(ids, seed).folder("hall")
 
 
 def _largest(tracked: mc.TrackedRuns) -> np.ndarray:

@@ -14,9 +14,10 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL, Printed
 from trackwright.experiments.lab.papers.kwon_2021.chamber import NUMBERS, PROTOCOL, anchors, deviations
 from trackwright.experiments.text.expectations import fixed_interval, listed
-from trackwright.sim.imu import level, simulate_uwb_imu
+from trackwright.sim.corruptions import antenna_biases
+from trackwright.sim.imu import ImuDraw, level
 from trackwright.sim.keys import Keys
-from trackwright.sim.ranging import antenna_biases, chamber
+from trackwright.sim.ranging import RangeDraw, chamber
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 LOW, HIGH = np.array([2.80, 2.71, 1.50]), np.array([3.19, 3.09, 1.89])
@@ -52,11 +53,9 @@ def strokes(keys: Keys, times: np.ndarray) -> np.ndarray:
 
 def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> RecordingFolder:
     """Tags with a level IMU on the robot, among the chamber's anchors."""
-    world = simulate_uwb_imu(
-        chamber(anchors(height)), strokes, ids, seed, rate_hz=RATE_HZ, n_points=round(3 * AXIS_S * RATE_HZ),
-        protocol=PROTOCOL, corruptions={"biases": antenna_biases(sigma_bias)}, attitude=level,
-    )  # fmt: skip
-    return world.folder("robot")
+    biases, points = {"biases": antenna_biases(sigma_bias)}, round(3 * AXIS_S * RATE_HZ)
+    ranges = RangeDraw(chamber(anchors(height)), strokes, biases, RATE_HZ, points, PROTOCOL)
+    return ImuDraw(ranges, attitude=level).drawn(ids, seed).folder("robot")
 
 
 def _end(axis: int, largest: bool) -> Callable[[mc.TrackedRuns], np.ndarray]:

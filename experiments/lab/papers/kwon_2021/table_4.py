@@ -14,9 +14,9 @@ import numpy as np
 import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import RAW, Printed, window
 from trackwright.experiments.lab.papers.fitting import Fit, Fitted, fitted
-from trackwright.sim.corruptions import gauss_markov
-from trackwright.sim.imu import constant_bias, level, simulate_uwb_imu, white_density
-from trackwright.sim.ranging import Protocol, chamber, on_anchors
+from trackwright.sim.corruptions import constant_bias, gauss_markov, on_anchors, white_density
+from trackwright.sim.imu import ImuDraw, level
+from trackwright.sim.ranging import Protocol, RangeDraw, chamber
 from trackwright.trackers.catalogue import build
 from trackwright.trackers.recordings.folder import RecordingFolder
 
@@ -46,14 +46,14 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
     errors of these two.
     """
     anchors = np.array([[0.0, 2.5 - base / 2, 2.5], [0.0, 2.5 + base / 2, 2.5], [5.0, 2.5, 2.5]])
-    world = simulate_uwb_imu(
-        chamber(anchors), lambda keys, times: np.tile(TAG, (len(keys), len(times), 1)), ids, seed, rate_hz=RATE_HZ,
-        n_points=SETTLING + SCORED, protocol=Protocol(sigma_stamp=sigma_stamp),
-        corruptions={"slow": on_anchors(ONE_SIDE, gauss_markov(slow, tau))}, attitude=level,
-        accel={"bias": constant_bias(0.1), "noise": white_density(SIGMA_ACCEL)},
-        gyro={"bias": constant_bias(0.01), "noise": white_density(0.002)},
+    ranges = RangeDraw(
+        chamber(anchors), lambda keys, times: np.tile(TAG, (len(keys), len(times), 1)),
+        {"slow": on_anchors(ONE_SIDE, gauss_markov(slow, tau))}, RATE_HZ, SETTLING + SCORED,
+        Protocol(sigma_stamp=sigma_stamp),
     )  # fmt: skip
-    folder = world.folder("still tag")
+    accel = {"bias": constant_bias(0.1), "noise": white_density(SIGMA_ACCEL)}
+    gyro = {"bias": constant_bias(0.01), "noise": white_density(0.002)}
+    folder = ImuDraw(ranges, accel, gyro, attitude=level).drawn(ids, seed).folder("still tag")
     places = build("trilateration", folder).run(folder).to_polars().select("t_s", "tag", "x_m", "y_m", "z_m")
     fixes = places.drop_nulls().sort("t_s", maintain_order=True)
     return replace(folder, tables={**folder.tables, "fixes": fixes})

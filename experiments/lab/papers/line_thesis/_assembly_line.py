@@ -15,7 +15,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import RAW as FIXES_ALONE
 from trackwright.experiments.lab.papers.declared import built
 from trackwright.sim.corruptions import gauss_markov, white_noise
-from trackwright.sim.line import simulate_line
+from trackwright.sim.line import LineDraw
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
@@ -72,11 +72,14 @@ def _recording(ids: tuple[int, ...], seed: int, number: int, fitted_truth: bool 
     errors = {"white": white_noise(of["white"]), "slow": gauss_markov(of["slow"], of["tau"])}
     # Nine recordings are nine draws, each with its own seed.
     seed_of = 10 * seed + number
-    world = simulate_line(of["situation"], ids, seed_of, speed=of["speed"], rate_hz=of["rate_hz"], errors=errors)
+    draw = LineDraw(of["situation"], errors, speed=of["speed"], rate_hz=of["rate_hz"])
+    world = draw.drawn(ids, seed_of)
     if fitted_truth:
-        places = [knot_times(world.knots, world.times, fixes).positions(world.times) for fixes in world.fixes]
-        world = dataclasses.replace(world, positions=np.stack(places))
-    return world.folder(f"recording-{number}-{seed}")
+        places = [knot_times(np.array(draw.knots), world.times, fixes).positions(world.times) for fixes in world.fixes]
+        world = dataclasses.replace(world, given={**world.arrays, "positions": np.stack(places)})
+    folder = world.folder(f"recording-{number}-{seed}")
+    # Tables without their draw, of which a study would draw anew the truth that is replaced here.
+    return dataclasses.replace(folder, tables=dict(folder.tables)) if fitted_truth else folder
 
 
 def worlds(numbers: Mapping[str, float], names: Sequence[str] = RECORDINGS) -> dict[str, mc.World]:

@@ -15,7 +15,7 @@ from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
 from trackwright.experiments.text.expectations import fixed_interval, listed
 from trackwright.sim.corruptions import gauss_markov, white_noise
-from trackwright.sim.line import simulate_line
+from trackwright.sim.line import LineDraw
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -47,11 +47,11 @@ def carried(ids: np.ndarray, seed: int, size: float, white: float) -> RecordingF
     """Tags of situation 1, carried `size` m aside from second `LEFT_S` on; 0: never."""
     errors = {"white": white_noise(white), "slow": gauss_markov(NUMBERS["slow"], NUMBERS["tau"])}
     x, y = size * TOWARDS
-    world = simulate_line(
-        "constant", np.asarray(ids).tolist(), seed, speed=NUMBERS["speed"], rate_hz=NUMBERS["rate_hz"], errors=errors,
+    draw = LineDraw(
+        "constant", errors, speed=NUMBERS["speed"], rate_hz=NUMBERS["rate_hz"],
         carried_off=(LEFT_S, LEFT_S + AWAY_S, (float(x), float(y))) if size > 0 else None,
     )  # fmt: skip
-    return world.folder(f"carried-{size}-{seed}")
+    return draw.drawn(ids, seed).folder(f"carried-{size}-{seed}")
 
 
 _LAST: list[tuple[mc.TrackedRuns, np.ndarray]] = []

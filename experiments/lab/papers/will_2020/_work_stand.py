@@ -16,7 +16,7 @@ from trackwright.experiments.lab.papers.fitting import fitted
 from trackwright.experiments.lab.papers.will_2020.fit_array_layout import TABLE_1_DEG
 from trackwright.sim.corruptions import Corruption, lose_station, outliers
 from trackwright.sim.keys import Keys
-from trackwright.sim.stations import simulate_phases, work_station
+from trackwright.sim.stations import PhaseDraw, work_station
 from trackwright.trackers.aoa.beam import beam_tracker
 from trackwright.trackers.aoa.rows import PHASES
 from trackwright.trackers.core.model.rig import Rig
@@ -94,11 +94,9 @@ def recorded(
         corruptions["lost station"] = lose_station(lost - 1)
     if outlying:
         corruptions["outliers"] = outliers(outlying, size)
-    world = simulate_phases(
-        stand(NUMBERS, radius, aperture), HELIX, ids, seed, rate_hz=rate_hz,
-        n_points=round(POINTS * rate_hz / RATE_HZ), sigma_p=NUMBERS["sigma_p"], wave=wave, corruptions=corruptions,
-    )  # fmt: skip
-    return world.folder("work stand")
+    rig, points = stand(NUMBERS, radius, aperture), round(POINTS * rate_hz / RATE_HZ)
+    draw = PhaseDraw(rig, HELIX, corruptions, rate_hz, points, NUMBERS["sigma_p"], wave)
+    return draw.drawn(ids, seed).folder("work stand")
 
 
 BEAM = mc.TrackerConfig("beam", {"motion.sigma_a": NUMBERS["sigma_a"], "sensors.*.sigma_p": NUMBERS["sigma_p"]})

@@ -20,7 +20,7 @@ from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.fitting import Fitted
 from trackwright.experiments.lab.papers.will_2020 import _work_stand as work
 from trackwright.experiments.lab.papers.will_2020 import fit_array_layout as array
-from trackwright.sim.stations import simulate_phases
+from trackwright.sim.stations import PhaseDraw
 from trackwright.trackers.aoa.beam import beam_tracker
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.sensor import Reading
@@ -94,9 +94,8 @@ def numbers_of(free: np.ndarray) -> dict[str, float]:
 def errors(numbers: dict[str, float], runs: int, seed: int, all_tracks: bool, radius: float = RADIUS) -> np.ndarray:
     """RMSE (5, 2), degrees, of azimuth and elevation by antenna set, over all stations."""
     rig = work.stand(numbers, radius)
-    world = simulate_phases(
-        rig, work.HELIX, runs, seed, rate_hz=work.RATE_HZ, n_points=work.POINTS, sigma_p=numbers["sigma_p"]
-    )
+    draw = PhaseDraw(rig, work.HELIX, sigma_p=numbers["sigma_p"], rate_hz=work.RATE_HZ, n_points=work.POINTS)
+    world = draw.drawn(runs, seed)
     stations = list(rig.stations.values())
     truth = np.stack([s.angles(world.positions) for s in stations], axis=1)
     trajectories, sets = runs * len(stations), len(work.SETS)

@@ -14,7 +14,7 @@ import polars as pl
 
 from tests.faulty import write_good
 from trackwright.sim.corruptions import white_noise
-from trackwright.sim.ranging import CORNERS, chamber, simulate_differences
+from trackwright.sim.ranging import CORNERS, DifferenceDraw, chamber
 from trackwright.sim.stations import facing
 from trackwright.trackers.core.model.rig import Rig, Station, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
@@ -117,7 +117,8 @@ def differences(schedule: str = "messages") -> RecordingFolder:
     """
     places = CORNERS + np.random.default_rng(7).uniform(-0.6, 0.6, CORNERS.shape)
     noise = {"white": white_noise(0.05)}
-    return simulate_differences(chamber(places), seed=1, n_points=300, schedule=schedule, corruptions=noise).folder("w")
+    draw = DifferenceDraw(chamber(places), n_points=300, schedule=schedule, corruptions=noise)
+    return draw.drawn(seed=1).folder("w")
 
 
 def height(metres: float | None) -> Make:

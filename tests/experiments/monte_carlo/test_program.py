@@ -1,0 +1,118 @@
+"""The program of a chunk beside the same trajectories by way of recordings, and worlds drawn in a program."""
+
+import jax
+import numpy as np
+import pytest
+
+import trackwright as tw
+from trackwright.experiments.monte_carlo import chunk
+from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from trackwright.experiments.monte_carlo.program import UnfitError, compiled, part_of
+from trackwright.sim.keys import keys_of, trajectory_keys
+from trackwright.sim.worlds import WORLDS
+from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.run.chunks import as_dtype
+
+N = 6
+LINE, STATION = {"rate_hz": 1.0}, {"rows": 30, "drop_outs": 0.2, "outliers": 0.05, "gauss_markov": 0.1}
+AGV = {"rows": 60, "mirror": 0.1, "latency": 0.2}
+PAIRS = [("line", "fix-kf", LINE), ("line", "fix-kf", {**LINE, "situation": "speeds"}), ("station", "beam", STATION),
+         ("station", "direct", {**STATION, "lost_station": "2", "masked_antenna": ("1", 3)}), ("station", "das", STATION),
+         ("station", "cascade", STATION), ("agv", "imm", AGV), ("agv", "mhk", AGV), ("agv", "median", AGV)]  # fmt: skip
+
+
+def _study(world, tracker, numbers, **config):
+    worlds, trackers = {world: World(WORLDS[world], numbers)}, {tracker: TrackerConfig(tracker, **config)}
+    return Study("study", "", worlds, trackers, runs=2 * N, metrics=("rmse_m",))
+
+
+def _both(study):
+    condition, name = study.conditions[0], next(iter(study.trackers))
+    ids = np.arange(N)
+    program = chunk._program_of(study, condition, name)
+    assert program is not None
+    prepared = chunk.Prepared(study, condition, ids)
+    return program.run(part_of(study.seed, ids)), chunk._scored(prepared, name, study.trackers[name])
+
+
+@pytest.mark.parametrize(("world", "tracker", "numbers"), PAIRS)
+def test_the_program_sums_what_recordings_give(world, tracker, numbers):
+    ours, expected = _both(_study(world, tracker, numbers))
+    assert ours.keys() == expected.keys()
+    for name in (name for name in expected if not name.startswith(("cells", "counts"))):
+        np.testing.assert_allclose(ours[name], expected[name], rtol=1e-5, atol=1e-5, err_msg=name)
+    for name in (name for name in expected if name.startswith("counts")):
+        assert ours[name].sum() == expected[name].sum()
+
+
+@pytest.mark.parametrize("config", [{"smooth": True}, {"every": 3.0}])
+def test_a_smoothed_or_thinned_tracker_has_a_program_too(config):
+    ours, expected = _both(_study("line", "fix-kf", LINE, **config))
+    for name in (name for name in expected if name.startswith("sum")):
+        np.testing.assert_allclose(ours[name], expected[name], rtol=1e-5, atol=1e-5, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("world", "tracker", "reason"),
+    [("ranges", "multilateration", "other readings than its own"), ("line", "line-pf", "random numbers"),
+     ("tool", "uwb-imu", "no draw"), ("body", "body", "no draw")],
+)  # fmt: skip
+def test_a_tracker_whose_rows_are_no_drawn_numbers_is_told_apart(world, tracker, reason):
+    study = _study(world, tracker, {})
+    folder = WORLDS[world](np.zeros(1, int), 0)
+    with pytest.raises(UnfitError, match=reason):
+        compiled(folder, lambda f: study.trackers[tracker].spec.batches([f], tracker), None, part_of(0, np.arange(N)))
+    assert chunk._program_of(study, study.conditions[0], tracker) is None
+
+
+@pytest.mark.parametrize(
+    ("world", "numbers"), [*{w: (w, n) for w, _, n in PAIRS}.values(), ("ranges", {}), ("fusion", {})]
+)
+def test_a_world_drawn_in_a_program_is_the_one_in_its_folder(world, numbers):
+    draw = getattr(tw.simulate, world)(n=1, **numbers).folder().tables.draw
+    part = part_of(5, np.arange(3))
+    inside = jax.jit(lambda key, ids: as_dtype(draw, float)(keys_of(key, ids)))(*part)
+    for name, expected in draw(trajectory_keys(5, [0, 1, 2])).items():
+        np.testing.assert_allclose(inside[name], expected, atol=2e-6, err_msg=name)
+
+
+def test_conditions_that_differ_in_numbers_share_a_program():
+    worlds = {"station": World(WORLDS["station"], {"rows": 20})}
+    grid = {"world.sigma_p, sensors.*.sigma_p": [0.1, 0.2]}
+    study = Study("study", "", worlds, {"beam": TrackerConfig("beam")}, runs=2 * N, grid=grid)
+    first, second = (chunk._program_of(study, condition, "beam") for condition in study.conditions)
+    assert first.program is second.program
+    errors = [one.run(part_of(0, np.arange(N)))["sum squares direction_rad"].sum() for one in (first, second)]
+    assert errors[0] < errors[1]
+
+
+SLOW = pytest.mark.slow
+GRADIENTS = [
+    ("line", "fix-kf", "rmse_m", "motion.sigma_a", 1e-4),
+    pytest.param("agv", "imm", "rmse_3d_m", "sensors.fixes.sigma*", 1e-4, marks=SLOW),
+    # Also of the world's noise; the place where a search begins a track has no derivative.
+    pytest.param("station", "beam", "rmse_direction_rad", "sensors.*.sigma_p", 2e-3, marks=SLOW),
+    pytest.param("station", "direct", "mean_3d_m", "sensors.*.sigma_p", 2e-3, marks=SLOW),
+]
+
+
+@pytest.mark.parametrize(("world", "tracker", "metric", "tunables", "tolerance"), GRADIENTS)
+def test_the_gradient_of_an_expected_error_is_its_difference_quotient(world, tracker, metric, tunables, tolerance):
+    rows = {"line": {"rate_hz": 1.0}}.get(world, {"rows": 40})
+
+    def error(number):
+        made = getattr(tw.simulate, world)(n=4, seed=3, **rows, **({"sigma_p": number} if world == "station" else {}))
+        return tw.expected(made, tracker, metric, {tunables: number})
+
+    at, step = 0.3, 1e-5
+    value, slope = jax.jit(jax.value_and_grad(error))(at)
+    both = [float(error(at + sign * step)) for sign in (1, -1)]
+    assert value == pytest.approx(float(error(at)), rel=1e-9)
+    assert slope == pytest.approx((both[0] - both[1]) / (2 * step), rel=tolerance)
+
+
+def test_an_expected_error_that_has_no_program_is_refused():
+    with pytest.raises(UnusableInput, match="an input depends on the readings; run a study"):
+        tw.expected(tw.simulate.ranges(n=2), "uwb")
+    with pytest.raises(UnusableInput, match="rmse_KIND or mean_KIND"):
+        tw.expected(tw.simulate.line(n=2, rate_hz=1.0), "fix-kf", "median_m")
