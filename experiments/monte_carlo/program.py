@@ -239,6 +239,11 @@ def compiled(
     draw = folder.tables.draw if isinstance(folder.tables, SimulatedTables) else None
     if draw is None or not draw.measured:
         raise UnfitError("the world has no draw")
+    first = part.ids[:1].astype(int)
+    drawn = draw.world(draw(keys_of(part.key, part.ids[:1])), first).folder(folder.name)
+    alike = [name in folder.tables and table.equals(folder.tables[name]) for name, table in drawn.tables.items()]
+    if not all(alike) or pickle.dumps((drawn.rig, None)) != pickle.dumps((folder.rig, folder.calibration)):
+        raise UnfitError("the folder is not as it was drawn")
     model = as_dtype((draw, *_understood(draw, folder.name, batches, every)), jax.dtypes.canonicalize_dtype(float))
     try:
         return ChunkProgram(model, _program(model, part))

@@ -1,5 +1,7 @@
 """The program of a chunk beside the same trajectories by way of recordings, and worlds drawn in a program."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -63,6 +65,19 @@ def test_a_tracker_whose_rows_are_no_drawn_numbers_is_told_apart(world, tracker,
     with pytest.raises(UnfitError, match=reason):
         compiled(folder, lambda f: study.trackers[tracker].spec.batches([f], tracker), None, part_of(0, np.arange(N)))
     assert chunk._program_of(study, study.conditions[0], tracker) is None
+
+
+def test_a_folder_that_is_not_as_it_was_drawn_has_no_program():
+    def moved(ids, seed):
+        world = tw.simulate.station(ids=ids, seed=seed, rows=5)
+        return replace(world, given={**world.arrays, "positions": world.positions + 0.1}).folder()
+
+    def calibrated(ids, seed):
+        return replace(tw.simulate.station(ids=ids, seed=seed, rows=5).folder(), calibration=tw.Calibration())
+
+    for make in (moved, calibrated):
+        study = Study("study", "", {"w": World(make)}, {"beam": TrackerConfig("beam")}, runs=2 * N, metrics=("rmse_m",))
+        assert chunk._program_of(study, study.conditions[0], "beam") is None
 
 
 @pytest.mark.parametrize(
