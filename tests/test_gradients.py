@@ -29,8 +29,7 @@ from tests.oracles.quadrature import (
     halt_log_likelihood,
     kalman_fixes,
 )
-from trackwright.trackers.baselines.fixes import fix_tracker
-from trackwright.trackers.baselines.floor import Walls
+from trackwright.trackers.baselines.fixes import Walls, fix_tracker
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
@@ -39,9 +38,9 @@ from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.motion import ConstantPosition, Placed
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.tunable import Real, Scale, replaced
-from trackwright.trackers.line.fixes import FIXES
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import PathOutputMap
+from trackwright.trackers.line.tracker import FIXES
 from trackwright.trackers.mhk.fusion import chain_predicted, chain_updated
 from trackwright.trackers.parts import fixes as parts
 

@@ -11,7 +11,7 @@ import numpy as np
 from jax.scipy.special import ndtr
 
 from trackwright.experiments.lab.validation.nis import NEVER_LOST, KnownStart
-from trackwright.trackers.baselines.floor import Walls
+from trackwright.trackers.baselines.fixes import Walls
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.filters.filter import Innovation
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
@@ -25,8 +25,8 @@ from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import State
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.motion import LineMotion, PathState
+from trackwright.trackers.line.tracker import FIXES, FloorFixes
 
 CORRIDOR = np.array([[0.0, 0.0], [6.0, 1.5]])
 """Opposite corners of the corridor, m."""

@@ -8,7 +8,7 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.columns import PIECE_M, PIECE_S
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.tuning.calibration_pairs import calibration_pairs
+from trackwright.tuning.calibrating import calibration_pairs
 
 
 @pytest.mark.parametrize("first", ["moving", "still"])

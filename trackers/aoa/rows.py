@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.trackers.aoa.beam import PHASES, beam_tracker, in_plane_beam_tracker
+from trackwright.trackers.aoa.beam import PHASES, DelayAndSum, beam_tracker, in_plane_beam_tracker
 from trackwright.trackers.aoa.cascade import cascade_tracker
-from trackwright.trackers.aoa.das import DelayAndSum
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
 from trackwright.trackers.aoa.mapped_bearings import mapped_bearing_tracker

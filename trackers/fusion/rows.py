@@ -24,7 +24,7 @@ from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_heights, trajectories_of
 from trackwright.trackers.uwb_imu import difference_rows
 from trackwright.trackers.uwb_imu import rows as range_rows
-from trackwright.trackers.uwb_imu.differences import TDOA
+from trackwright.trackers.uwb_imu.fusion import TDOA
 
 
 def _placed_fixes(folder: RecordingFolder, free_height: bool) -> Trajectories:

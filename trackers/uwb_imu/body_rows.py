@@ -33,8 +33,7 @@ from trackwright.trackers.recordings.trajectories import (
 )
 from trackwright.trackers.uwb_imu.body import LASTS, ODOMETRY, Wheels, body_tracker, odometry_inputs
 from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories, lacks_differences, slots_of
-from trackwright.trackers.uwb_imu.differences import TDOA
-from trackwright.trackers.uwb_imu.fusion import range_levels
+from trackwright.trackers.uwb_imu.fusion import TDOA, range_levels
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker, inertial_tracker
 from trackwright.trackers.uwb_imu.rows import anchors_of, bias_slots, lacks_ranges
 from trackwright.trackers.uwb_imu.rows_between import imu_inputs, tilting_tags, to_level_axes, with_rows_between

@@ -26,9 +26,8 @@ from trackwright.trackers.recordings.trajectories import (
     known_heights,
     trajectories_of,
 )
-from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
 from trackwright.trackers.uwb_imu.rows import anchors_of, lacks_ranges
-from trackwright.trackers.uwb_imu.trilateration import trilateration_tracker
+from trackwright.trackers.uwb_imu.trilateration import multilateration_tracker, trilateration_tracker
 
 WINDOWS = (0.1, 0.25, 0.5, 1.0)
 """Candidate times, s, for which a range stays valid in a snapshot of the latest ranges."""

@@ -31,10 +31,10 @@ from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import retract
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.line.fixes import FloorFixes
+from trackwright.trackers.line.tracker import FloorFixes
 from trackwright.trackers.parts.fixes import AbstractFixSensor
 from trackwright.trackers.parts.ranges import RangeSensor
-from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
+from trackwright.trackers.uwb_imu.fusion import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter, with_yaw_added
 
 TAGS, SEEDS, SETTLED, WINDOW, NARROWER = 24, 5, 5.0, 50, 30.0

@@ -3,7 +3,7 @@
 import numpy as np
 
 from trackwright.experiments.pages.calibration import Source
-from trackwright.tuning.calibration_pairs import Pairs
+from trackwright.tuning.calibrating import Pairs
 
 
 def _source(true, error, number):

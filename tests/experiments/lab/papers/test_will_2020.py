@@ -11,6 +11,7 @@ from trackwright.experiments.lab.papers.will_2020 import computing_cost, figure_
 from trackwright.experiments.lab.papers.will_2020 import table_1 as of_table_1
 from trackwright.experiments.lab.papers.will_2020._work_stand import (
     ALL,
+    HALF_BOX,
     NUMBERS,
     PRINTED_DEG,
     RADIUS,
@@ -21,7 +22,6 @@ from trackwright.experiments.lab.papers.will_2020._work_stand import (
     recorded,
     stand,
 )
-from trackwright.experiments.lab.papers.will_2020.fit_array_layout import HALF_BOX
 from trackwright.experiments.monte_carlo import ExpectedResult
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.sim.stations import work_station
