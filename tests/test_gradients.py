@@ -29,7 +29,8 @@ from tests.oracles.quadrature import (
     halt_log_likelihood,
     kalman_fixes,
 )
-from trackwright.trackers.baselines.fixes import Walls, fix_tracker
+from trackwright.trackers.baselines.fixes import fix_tracker
+from trackwright.trackers.baselines.floor import Walls
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter, Particles
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO

@@ -20,7 +20,7 @@ from trackwright.trackers.recordings.trajectories import Trajectories, Trajector
 
 # The trackers beside fix-kf, which most recordings get, are imported where one is built.
 if TYPE_CHECKING:
-    from trackwright.trackers.baselines.fixes import Walls
+    from trackwright.trackers.baselines.floor import Walls
 
 COPLANAR = 0.5
 """Largest difference between the heights of anchors that count as coplanar, m."""
@@ -69,7 +69,7 @@ def floor_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
 
 def walls_of(folder: RecordingFolder) -> Walls:
     """The folder's floor plan; raises UnusableInput if there is none or it is invalid."""
-    from trackwright.trackers.baselines.fixes import Walls
+    from trackwright.trackers.baselines.floor import Walls
 
     rig = folder.rig
     if rig.walls is None and rig.outline is None:
@@ -95,7 +95,7 @@ def _floor_geometry(trajectory: Trajectory) -> Hashable:
 
 
 def _floor(trajectory: Trajectory, planar: bool) -> Tracker:
-    from trackwright.trackers.baselines.fixes import floor_tracker
+    from trackwright.trackers.baselines.floor import floor_tracker
 
     return floor_tracker(walls_of(trajectory.folder))
 

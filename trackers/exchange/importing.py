@@ -131,8 +131,6 @@ def read_source(path: Path, name: str, mappings: Sequence[TableMapping], tag: st
     if name not in FORMATS:
         return _of_frames(_own_frames(path, name), {}, tag, f"{name}: ")
     if name == "ros":
-        from trackwright.trackers.exchange.importing import read_bag
-
         return read_bag(path, mappings)
     source = Source()
     for mapping in mappings:

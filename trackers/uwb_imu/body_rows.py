@@ -255,21 +255,13 @@ def _as_one(trajectory: Trajectory) -> int:
     return max(1, round(LASTS / max(float(np.median(elapsed)), 1e-3))) if len(elapsed) else 1
 
 
-def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return replace(inertial_tracker(anchors_of(trajectory), planar), lasting_errors=not _is_calibrated(trajectory))
-
-
-def _inertial_of_differences(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return replace(
-        inertial_difference_tracker(anchors_of(trajectory), slots_of(trajectory), planar), lasting_errors=True
-    )
-
-
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "uwb-imu": partial(
         TrackerSpec,
         trajectories=inertial_trajectories,
-        build=_inertial,
+        build=lambda trajectory, planar: replace(
+            inertial_tracker(anchors_of(trajectory), planar), lasting_errors=not _is_calibrated(trajectory)
+        ),
         notices=tilting_tags,
         lacks=lacks_ranges_or_imu,
         geometry=lambda trajectory: (
@@ -294,7 +286,9 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "tdoa-imu": partial(
         TrackerSpec,
         trajectories=inertial_difference_trajectories,
-        build=_inertial_of_differences,
+        build=lambda trajectory, planar: replace(
+            inertial_difference_tracker(anchors_of(trajectory), slots_of(trajectory), planar), lasting_errors=True
+        ),
         notices=partial(tilting_tags, read=TDOA, without=TDOA),
         lacks=lacks_differences_or_imu,
         geometry=lambda trajectory: (anchors_of(trajectory), slots_of(trajectory)),

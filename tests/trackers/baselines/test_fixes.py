@@ -10,7 +10,8 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman, van_loan
-from trackwright.trackers.baselines.fixes import Walls, fix_tracker, floor_tracker, singer_tracker
+from trackwright.trackers.baselines.fixes import fix_tracker, singer_tracker
+from trackwright.trackers.baselines.floor import Walls, floor_tracker
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import GroundMotion, Kinematic

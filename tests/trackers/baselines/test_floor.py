@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from tests.in_process import PLAIN, trackwright
-from trackwright.trackers.baselines.fixes import Walls
+from trackwright.trackers.baselines.floor import Walls
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.particle.resampling import LOG_ZERO
 from trackwright.trackers.core.model.algebra import Vector

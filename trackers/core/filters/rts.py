@@ -73,7 +73,8 @@ def rts_gain(
     C_transposed = _solved(compute_once(_sparse_product(F, FP.swapaxes(0, 1)) + noise), FP)
     unit = np.eye(n).reshape(n, n, 1)
     # (I − CF)ᵀ = I − FᵀCᵀ.
-    rest = compute_once(jnp.asarray(unit, P.dtype) - _sparse_product(_transposed(F), C_transposed))
+    F_transposed = [{i: row[j] for i, row in enumerate(F) if j in row} for j in range(n)]
+    rest = compute_once(jnp.asarray(unit, P.dtype) - _sparse_product(F_transposed, C_transposed))
     base = compute_once(_congruence(rest, P))
     return RtsGain(belief, predicted, C_transposed, noise, base, connected, simultaneous)
 
@@ -232,11 +233,6 @@ def _sparse_product(rows: Sequence[SparseRow], A: Matrices) -> Matrices:
         return total(A[j] if isinstance(entry, float) else entry[None] * A[j] for j, entry in row.items())
 
     return compute_once(jnp.stack([one(row) if row else jnp.zeros_like(A[0]) for row in rows]))
-
-
-def _transposed(rows: Sequence[SparseRow]) -> list[SparseRow]:
-    """The sparse rows of the transposed square matrix."""
-    return [{i: row[j] for i, row in enumerate(rows) if j in row} for j in range(len(rows))]
 
 
 def _congruence(A: Matrices, P: Matrices) -> Matrices:
