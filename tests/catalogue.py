@@ -52,12 +52,11 @@ from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMo
 from trackwright.trackers.line.tracker import FloorFixes, line_grid_tracker, line_tracker
 from trackwright.trackers.linear import linear
 from trackwright.trackers.mhk.tracker import STILL, mhk_tracker
-from trackwright.trackers.parts.bearing_map import floor_grid
 from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases
 from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.singer import Singer
-from trackwright.trackers.recordings.calibration import UNCALIBRATED, Calibration
+from trackwright.trackers.recordings.calibration import UNCALIBRATED, Calibration, floor_grid
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectory, cut
 from trackwright.trackers.uwb_imu.body import BodyState, TurningBody, Wheels

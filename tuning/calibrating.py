@@ -20,7 +20,6 @@ from scipy.stats import norm
 
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import Point
-from trackwright.trackers.parts.bearing_map import predicted
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,
     OFFSET_SIGMA,
@@ -33,6 +32,7 @@ from trackwright.trackers.recordings.calibration import (
     angle_terms,
     has_moved,
     has_turned,
+    predicted,
     range_terms,
 )
 from trackwright.trackers.recordings.columns import TruthStatus, independent_pieces

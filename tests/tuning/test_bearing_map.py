@@ -12,8 +12,7 @@ from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.filters.quadrature import QuadratureKalman
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.evaluation.evaluate import evaluate
-from trackwright.trackers.parts.bearing_map import UNKNOWN, floor_grid, predicted
-from trackwright.trackers.recordings.calibration import UNCALIBRATED
+from trackwright.trackers.recordings.calibration import UNCALIBRATED, UNKNOWN, floor_grid, predicted
 from trackwright.tuning.calibrating import Pairs, calibrate, visits_of
 
 RNG = np.random.default_rng(0)

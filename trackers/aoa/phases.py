@@ -307,14 +307,15 @@ ratios of the printed errors; among the many such layouts this one has low ambig
 """
 
 
-def boresight_bounds(antennas: AnyArray, wavelength: float = DEFAULT_WAVELENGTH, sigma_p: float = 1.0) -> np.ndarray:
+def boresight_bounds(antennas: AnyArray, sigma_p: float = 1.0) -> np.ndarray:
     """Cramér–Rao bounds (…, 2), rad, of azimuth and elevation at boresight from one row of phases of one array.
 
     `antennas` (..., n, 2) in m, `sigma_p` the phase noise in rad. One unknown common offset leaves the information
-    G' (I - 11'/n) G / sigma_p², with G = 2 pi / wavelength times the positions: the scatter about their centroid.
+    G' (I - 11'/n) G / sigma_p², with G = 2 pi / wavelength (the default) times the positions: the scatter
+    about their centroid.
     """
     centred = antennas - antennas.mean(axis=-2, keepdims=True)
     x, y = centred[..., 0], centred[..., 1]
     xx, yy, xy = (x * x).sum(-1), (y * y).sum(-1), (x * y).sum(-1)
     variances = np.stack([yy, xx], axis=-1) / (xx * yy - xy * xy)[..., None]
-    return sigma_p * wavelength / (2 * np.pi) * np.sqrt(variances)
+    return sigma_p * DEFAULT_WAVELENGTH / (2 * np.pi) * np.sqrt(variances)

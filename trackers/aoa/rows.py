@@ -18,7 +18,7 @@ from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.rig import Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.parts.bearing_map import floor_grid
+from trackwright.trackers.recordings.calibration import floor_grid
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
@@ -232,10 +232,6 @@ def _array(station: Station) -> tuple[Hashable, ...]:
     return np.asarray(station.antennas).tobytes(), station.wavelength
 
 
-def _one_array(trajectory: Trajectory) -> Hashable:
-    return _array(_station(trajectory))
-
-
 def _all_arrays(trajectory: Trajectory) -> Hashable:
     return tuple(
         (name, *_array(s), np.asarray(s.position).tobytes(), np.asarray(s.rotation).tobytes())
@@ -247,7 +243,7 @@ _per_station = partial(
     TrackerSpec,
     trajectories=beam_trajectories,
     lacks=stations_of("phases", 1),
-    geometry=_one_array,
+    geometry=lambda trajectory: _array(_station(trajectory)),
     planar=_in_plane,
     bearing_only=True,
 )
