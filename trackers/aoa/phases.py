@@ -107,7 +107,16 @@ class AbstractPlanePhases(AbstractPhaseSensor):
     antennas' x, y.
     """
 
-    wavenumbers: eqx.AbstractVar[Any]
+    sigma_p: Noise
+    offsets: Noise
+    wavenumbers: Any
+    paper_form: bool = eqx.field(static=True)
+
+    def __init__(self, station: Station, sigma_p: float | Noise, paper_form: bool):
+        antennas, wavelength = _array(station)
+        self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
+        self.wavenumbers = 2 * np.pi / wavelength * antennas
+        self.offsets = Real(np.zeros(len(antennas)), "rad", typical=0.1)
 
     @abstractmethod
     def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
@@ -123,14 +132,8 @@ class PlanePhases(AbstractPlanePhases):
 
     view_fields: ClassVar[tuple[str, ...]] = ("azimuth", "elevation")
 
-    sigma_p: Noise
-    offsets: Noise
-    wavenumbers: Any
-    paper_form: bool = eqx.field(static=True)
-
     def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
-        self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
-        self.wavenumbers, self.offsets = _wavenumbers_and_offsets(station)
+        super().__init__(station, sigma_p, paper_form)
 
     def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
         return compute_once((jnp.sin(view.azimuth) * jnp.cos(view.elevation), jnp.sin(view.elevation)))
@@ -144,14 +147,8 @@ class InPlanePhases(AbstractPlanePhases):
 
     view_fields: ClassVar[tuple[str, ...]] = ("heading",)
 
-    sigma_p: Noise
-    offsets: Noise
-    wavenumbers: Any
-    paper_form: bool = eqx.field(static=True)
-
     def __init__(self, station: Station, sigma_p: float | Noise = 0.5, paper_form: bool = False):
-        self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
-        self.wavenumbers, self.offsets = _wavenumbers_and_offsets(station)
+        super().__init__(station, sigma_p, paper_form)
 
     def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
         return jnp.cos(view.heading.angle), jnp.sin(view.heading.angle)
@@ -197,12 +194,6 @@ class SphericalPhases(AbstractPhaseSensor):
             shorter = (2.0 * to_tag.dot(a) - a.dot(a)) / (distance + (to_tag - a).norm())
             phases.append(self.wavenumber * shorter + offset)
         return phases
-
-
-def _wavenumbers_and_offsets(station: Station) -> tuple[np.ndarray, Real]:
-    """2π/λ times the antennas' x, y (n, 2), and offsets of zero."""
-    antennas, wavelength = _array(station)
-    return 2 * np.pi / wavelength * antennas, Real(np.zeros(len(antennas)), "rad", typical=0.1)
 
 
 def _array(station: Station) -> tuple[np.ndarray, float]:

@@ -169,13 +169,7 @@ _on_path = partial(
 )
 
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
-    "line-grid": partial(
-        _on_path,
-        build=_builder(line_grid_tracker),
-    ),
-    "line-pf": partial(
-        _on_path,
-        build=_builder(line_tracker),
-    ),
+    "line-grid": partial(_on_path, build=_builder(line_grid_tracker)),
+    "line-pf": partial(_on_path, build=_builder(line_tracker)),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

@@ -12,11 +12,7 @@ import numpy as np
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS
 from trackwright.trackers.parts.multilaterate import latest_rows
-from trackwright.trackers.parts.ranges import (
-    RANGES,
-    anchor_positions,
-    range_rows,
-)
+from trackwright.trackers.parts.ranges import RANGES, anchor_positions, range_rows
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
@@ -107,13 +103,16 @@ def _lacks_known_height(folder: RecordingFolder) -> str | None:
     return f"height_m in rig.toml for every tag, found none for {', '.join(free)}" if free else None
 
 
-_trilateration = partial(
-    TrackerSpec,
-    trajectories=triple_trajectories,
-    lacks=_lacks_known_height,
-    planar=lambda trajectory, free_height: True,
-    every_row=(RANGES,),
-)
+def _trilateration(compensated: bool) -> Callable[..., TrackerSpec]:
+    return partial(
+        TrackerSpec,
+        trajectories=triple_trajectories,
+        build=lambda trajectory, planar: trilateration_tracker(compensated),
+        lacks=_lacks_known_height,
+        planar=lambda trajectory, free_height: True,
+        every_row=(RANGES,),
+    )
+
 
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "multilateration": partial(
@@ -124,13 +123,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         geometry=anchors_of,
         every_row=(RANGES,),
     ),
-    "trilateration": partial(
-        _trilateration,
-        build=lambda trajectory, planar: trilateration_tracker(compensated=False),
-    ),
-    "trilateration-compensated": partial(
-        _trilateration,
-        build=lambda trajectory, planar: trilateration_tracker(compensated=True),
-    ),
+    "trilateration": _trilateration(compensated=False),
+    "trilateration-compensated": _trilateration(compensated=True),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

@@ -36,6 +36,7 @@ from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker
 from trackwright.trackers.parts.multilaterate import PositionFit, multilaterate
 from trackwright.trackers.parts.ranges import ANCHORS, RANGES
 
+NO_ANCHORS = "True or False; anchors are in the recording"
 SOLVED_AT_ONCE = 64
 """Rows of all trajectories solved side by side: operations on fewer numbers take as long."""
 
@@ -103,12 +104,7 @@ def out_of_blocks(blocks: Any, rows: int, count: int, size: int) -> Any:
 
 def multilateration_tracker(planar: bool = False, sigma_r: float = 0.1) -> Multilateration:
     """Robust least squares on the ranges of each row; `sigma_r` m. `planar`: at the tag's known height."""
-    require(
-        isinstance(planar, bool),
-        "multilateration_tracker: planar",
-        planar,
-        "True or False; anchors are in the recording",
-    )
+    require(isinstance(planar, bool), "multilateration_tracker: planar", planar, NO_ANCHORS)
     return Multilateration(Scale(sigma_r, "m"), RANGES, planar)
 
 
@@ -209,12 +205,7 @@ class Trilateration(AbstractEpochwiseTracker):
 
 def trilateration_tracker(compensated: bool = True, sigma_r: float = 0.1) -> Trilateration:
     """Trilateration of rows with three ranges, with or without the paper's compensation (14); `sigma_r` m."""
-    require(
-        isinstance(compensated, bool),
-        "trilateration_tracker: compensated",
-        compensated,
-        "True or False; anchors are in the recording",
-    )
+    require(isinstance(compensated, bool), "trilateration_tracker: compensated", compensated, NO_ANCHORS)
     return Trilateration(Scale(sigma_r, "m"), RANGES, compensated)
 
 

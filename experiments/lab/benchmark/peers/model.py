@@ -1,4 +1,4 @@
-"""What every estimator is given, its model of constant velocity, and the plain filter; peers never import trackwright."""
+"""What every estimator is given, its model of constant velocity, and the plain filter, all without trackwright."""
 
 from dataclasses import dataclass
 from functools import cached_property
