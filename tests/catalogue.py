@@ -48,21 +48,19 @@ from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.fusion.tracker import Drift, FusedMotion, FusedState
-from trackwright.trackers.line.fixes import FloorFixes
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
-from trackwright.trackers.line.tracker import line_grid_tracker, line_tracker
+from trackwright.trackers.line.tracker import FloorFixes, line_grid_tracker, line_tracker
 from trackwright.trackers.linear import linear
 from trackwright.trackers.mhk.tracker import STILL, mhk_tracker
-from trackwright.trackers.parts.bearing_map import floor_grid
 from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases
 from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.singer import Singer
-from trackwright.trackers.recordings.calibration import UNCALIBRATED, Calibration
+from trackwright.trackers.recordings.calibration import UNCALIBRATED, Calibration, floor_grid
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectory, cut
 from trackwright.trackers.uwb_imu.body import BodyState, TurningBody, Wheels
-from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
+from trackwright.trackers.uwb_imu.fusion import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 

@@ -62,7 +62,7 @@ def fix_recording(
     elif not seen[:, 2].any():
         # A tracker over the floor predicts z from the height; without any z the prediction is compared with nothing.
         height = 0.0
-    variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, values)) ** 2
+    variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like(std, values)) ** 2
     return Recording(
         times, {FIXES: Readings(values, seen, variances)}, _height(times, height), _truth(truth, len(times)), name
     )
@@ -103,7 +103,7 @@ def range_recording(
             raise UnusableInput(f"ranges of shape {table.shape} are all NaN; expected one or more, m")
         row, number = np.nonzero(kept)
         times, table = seconds(times)[row], table[kept]
-        std = None if std is None else _like("std", std, kept)[kept]
+        std = None if std is None else _like(std, kept)[kept]
         truth = None if truth is None else _rows_of(truth, row, len(kept))
     else:
         number = np.asarray(anchor, int)
@@ -117,7 +117,7 @@ def range_recording(
     check_times(name, seconds(times))
     rig = Rig("arrays", anchors={str(number): place for number, place in enumerate(anchors)}, side=side)
     _refuse_other_units("range_recording", seconds(times), rig, "ranges", {"range_m": values[seen]})
-    variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, table))[:, None] ** 2
+    variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like(std, table))[:, None] ** 2
     readings = Readings(values, seen, variances)
     ends, heights = np.array([0, len(values)]), np.array([np.nan if height is None else height], float)
     inputs = range_inputs(ends, seconds(times), readings, number, anchors, heights, rig)
@@ -150,7 +150,7 @@ def bearing_recording(
     geometry = {key: bearing_inputs(s) for key, s in stations.items()}
     where = np.stack([geometry[s] for s in station])
     _warn_of_map("bearing_recording", where[:, :3])
-    spread = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, values))
+    spread = np.zeros(values.shape) if std is None else np.nan_to_num(_like(std, values))
     reported = np.stack([spread[:, 0] ** 2, np.zeros(len(spread)), spread[:, 1] ** 2], axis=1)
     nearby = recent_points(seconds(times), where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height)
     number = np.array([list(stations).index(s) for s in station], float)
@@ -216,10 +216,10 @@ def _masked(what: str, values: np.ndarray, rows: int) -> tuple[np.ndarray, np.nd
     return np.where(seen, values, 0.0), seen
 
 
-def _like(what: str, values: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _like(values: np.ndarray, other: np.ndarray) -> np.ndarray:
     values = np.asarray(values, float)
     if values.shape[: other.ndim] != other.shape[: values.ndim] or values.ndim != other.ndim:
-        raise UnusableInput(f"{what} has shape {values.shape}; expected {other.shape}, as of the measurements")
+        raise UnusableInput(f"std has shape {values.shape}; expected {other.shape}, as of the measurements")
     return values
 
 

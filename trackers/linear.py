@@ -298,14 +298,10 @@ def _noise(what: str, given: Matrix, size: int | None, role: Role) -> Any:
     if np.count_nonzero(matrix) == len(some):
         return _Rooted(Scale(np.sqrt(np.diag(matrix)[some]), "1", role), tuple(((i, 1.0),) for i in some), n)
     if regular:
-        return _Function({"covariance": Covariance(matrix, "1", role)}, _itself, n)
+        return _Function({"covariance": Covariance(matrix, "1", role)}, lambda dt, covariance: covariance, n)
     roots = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T[eigenvalues > _SINGULAR * eigenvalues[-1]]
     columns = tuple(tuple((i, float(x)) for i, x in enumerate(root) if x) for root in roots)
     return _Rooted(Scale(np.ones(1), "1", role), columns, n)
-
-
-def _itself(dt: Scalar, covariance: Any) -> Any:
-    return covariance
 
 
 def _square(what: str, shape: tuple[int, ...], size: int | None) -> int:

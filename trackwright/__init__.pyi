@@ -9,10 +9,10 @@ from trackwright.trackers import exchange as exchange
 from trackwright.trackers import line as line
 from trackwright.trackers import parts as parts
 from trackwright.trackers import uwb_imu as uwb_imu
+from trackwright.trackers.aoa.beam import DelayAndSum as DelayAndSum
 from trackwright.trackers.aoa.beam import beam_tracker as beam_tracker
 from trackwright.trackers.aoa.beam import in_plane_beam_tracker as in_plane_beam_tracker
 from trackwright.trackers.aoa.cascade import cascade_tracker as cascade_tracker
-from trackwright.trackers.aoa.das import DelayAndSum as DelayAndSum
 from trackwright.trackers.aoa.direct import direct_tracker as direct_tracker
 from trackwright.trackers.aoa.fusion import bearing_tracker as bearing_tracker
 from trackwright.trackers.baselines.fixes import MovingWindow as MovingWindow
@@ -119,7 +119,7 @@ from trackwright.trackers.recordings.trajectories import Trajectory as Trajector
 from trackwright.trackers.recordings.trajectories import kind_trajectories as kind_trajectories
 from trackwright.trackers.uwb_imu.fusion import range_tracker as range_tracker
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker as inertial_tracker
-from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker as multilateration_tracker
+from trackwright.trackers.uwb_imu.trilateration import multilateration_tracker as multilateration_tracker
 from trackwright.trackers.uwb_imu.trilateration import trilateration_tracker as trilateration_tracker
 from trackwright.tuning.calibrating import calibrate as calibrate
 from trackwright.tuning.fitting import FitOptions as FitOptions

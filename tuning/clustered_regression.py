@@ -80,7 +80,9 @@ def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, 
     rows, cells = _in_order(rows)
     x, y, begins = rows.x, rows.y, np.flatnonzero(np.append(True, np.diff(cells) != 0))
     clusterings = [_numbered(c[begins]) for c in (rows.piece, rows.place)]
-    weights = _equal_recordings(np.ones(len(cells)), _numbered(rows.recording))
+    recording = _numbered(rows.recording)
+    totals = np.bincount(recording)
+    weights = (totals.mean() / totals)[recording]
     clusters = min(_effective(c, np.add.reduceat(weights, begins)) for c in clusterings)
     precision = np.diag(1.0 / sigmas**2)
     terms, effect = mean.copy(), 1.0
@@ -131,12 +133,6 @@ def _in_order(rows: Rows) -> tuple[Rows, np.ndarray]:
 def _numbered(numbers: np.ndarray) -> np.ndarray:
     """The numbers as indices from 0 up."""
     return np.unique(numbers, return_inverse=True)[1].ravel()
-
-
-def _equal_recordings(weights: np.ndarray, recording: np.ndarray) -> np.ndarray:
-    """The weights (N,) with the same total for each recording."""
-    totals = np.bincount(recording, weights)
-    return weights * (totals.mean() / totals)[recording]
 
 
 def _effective(clusters: np.ndarray, weights: np.ndarray) -> float:

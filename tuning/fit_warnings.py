@@ -83,19 +83,16 @@ def identifiability_issues(
         why = "held-out recordings selected them" if held_out else "the fit ended early"
         text = f"the values are {away} away from the optimum of the recordings tuned on, without intervals: {why}"
         return [*issues, Issue((), text)]
+    owners = [p for p in uncertainty.parameters for _ in range(p.size)]
     for group, sigmas in loose_groups(uncertainty, ~no_effect & ~ignored & ~uncertainty.at_bound).items():
         found, worst = tuple(names[k] for k in group), max(sigmas)
         text = "not determined" if math.isinf(worst) else "hardly determined"
         if len(group) > 1:
             text += " one by one" if len(sigmas) < len(group) else ", neither one by one nor together"
-        elif math.isfinite(worst) and isinstance(_owner(uncertainty.parameters, group[0]).example, Scale):
+        elif math.isfinite(worst) and isinstance(owners[group[0]].example, Scale):
             text += f", by a factor of {math.exp(min(worst, 20.0)):.2g} either way"
         issues.append(Issue(found, f"{listed(found)}: {text}"))
     return issues
-
-
-def _owner(parameters: Sequence[Parameter], k: int) -> Parameter:
-    return [p for p in parameters for _ in range(p.size)][k]
 
 
 def finished_cautions(

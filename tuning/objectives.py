@@ -225,11 +225,6 @@ class NormalisedError(NamedTuple):
     scored: Scalar
 
 
-def is_estimate(output: Output) -> Scalar:
-    """Whether the row has an estimate."""
-    return (output.status == Status.OK) | (output.status == Status.RESTARTED) | (output.status == Status.LOST)
-
-
 def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> tuple[list[Scalar], Scalar]:
     """Estimate − truth of a quantity's first components, and whether the row has both; or `MissingQuantityError`."""
     if not hasattr(output.mean, quantity):
@@ -241,7 +236,8 @@ def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> t
             "height, or use a tracker over the floor"
         )
     components = list(getattr(output.mean, quantity))[:dimensions]
-    return [m - t for m, t in zip(components, true[:dimensions], strict=True)], is_estimate(output) & known
+    estimated = (output.status == Status.OK) | (output.status == Status.RESTARTED) | (output.status == Status.LOST)
+    return [m - t for m, t in zip(components, true[:dimensions], strict=True)], estimated & known
 
 
 def normalised_error(

@@ -86,12 +86,8 @@ class LBFGS(AbstractOptimiser):
         length = np.linalg.norm(gradients, axis=1, keepdims=True)
         steepest = -gradients / np.where(length > 0, length, 1.0)
         uphill = np.sum(steps * gradients, axis=1) <= 0
-        return _limited(np.where((first | uphill)[:, None], steepest, -steps)), state
-
-
-def _limited(steps: Vectors) -> Vectors:
-    """The steps (S, p), shortened to `MAX_STEP`."""
-    return steps / np.maximum(1.0, np.linalg.norm(steps, axis=1, keepdims=True) / MAX_STEP)
+        steps = np.where((first | uphill)[:, None], steepest, -steps)
+        return steps / np.maximum(1.0, np.linalg.norm(steps, axis=1, keepdims=True) / MAX_STEP), state
 
 
 def _updated(optimiser: Adam | LBFGS, gradients: Vectors, state: Any, vectors: Vectors) -> tuple[Vectors, Any]:

@@ -202,10 +202,9 @@ def require_start_within(parameters: Sequence[Parameter], bounds: Mapping[str, t
     vector = flatten(parameters)
     outside = (vector < low) | (vector > high)
     if outside.any():
-        k = outside.argmax()
+        k, values = outside.argmax(), np.concatenate([np.ravel(x) for x in physical(parameters, vector)])
         raise ValueError(
-            f"{component_names(parameters)[k]} begins outside, at {physical_vector(parameters, vector)[k]:.4g}; give "
-            "another starting value"
+            f"{component_names(parameters)[k]} begins outside, at {values[k]:.4g}; give another starting value"
         )
 
 
@@ -238,11 +237,6 @@ def by_label(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -
     """The physical values by the parameters' labels."""
     values = physical(parameters, vector)
     return {p.label: np.asarray(v, float) for p, v in zip(parameters, values, strict=True)}
-
-
-def physical_vector(parameters: Sequence[Parameter], vector: Vector) -> Float[np.ndarray, " p"]:
-    """The physical values of all parameters in one vector, in the order of the unconstrained one."""
-    return np.concatenate([np.ravel(np.asarray(x, float)) for x in physical(parameters, vector)])
 
 
 def physical_errors(

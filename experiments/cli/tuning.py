@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ import polars as pl
 import trackwright as tw
 from trackwright.experiments.cli.console import chosen_tracker, notices, output_folder, write_manifest
 from trackwright.experiments.cli.options import Numbers, TuneOptions, settings
-from trackwright.experiments.jobs.fits import checked_bounds, kept_fit, left_out_estimates
 from trackwright.experiments.pages import tuning as pages
 from trackwright.experiments.pages.chart import write
 from trackwright.experiments.pages.report import typed, write_page
@@ -21,11 +21,19 @@ from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.trackers.core.errors import listed
 from trackwright.trackers.evaluation.evaluate import with_truth
 from trackwright.trackers.recordings.files import atomic_write, identity
-from trackwright.tuning import parameters as numbers
+from trackwright.tuning import checkpoint
 from trackwright.tuning.data import FitData, fit_data
 from trackwright.tuning.fit_warnings import cautions, without_intervals
-from trackwright.tuning.fitting import Progress
+from trackwright.tuning.fitting import Progress, fit, left_out_blocks, left_out_values
 from trackwright.tuning.optimisation import FitState
+from trackwright.tuning.parameters import (
+    component_names,
+    flatten,
+    parse_bounds,
+    require_start_within,
+    select_parameters,
+    tuned_by_default,
+)
 from trackwright.tuning.problem import is_stochastic
 from trackwright.tuning.sweeping import grid_vectors, swept_parameters
 from trackwright.tuning.tuned_file import tuned_content
@@ -54,7 +62,7 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
     calibrated = None if used.calibration is None else identity(used.calibration)
     content = compared.content() | tuned_content(named.name, objective, result, intervals, calibrated)
     tw.write_tuned(out / "tuned.toml", content)
-    components, values = numbers.component_names(result.parameters), pages.traces_of(result)[0]
+    components, values = component_names(result.parameters), pages.traces_of(result)[0]
     trace = {objective: values.objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
     trace |= dict(zip(components, values.values.T, strict=True))
     atomic_write(out / "trace.csv", pl.DataFrame(trace).write_csv)
@@ -88,29 +96,46 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
 
 
 def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
-    """The fit, with a checkpoint after every step."""
+    """The fit, with a checkpoint in the output folder after every step.
+
+    Raises UnusableInput for another fit's checkpoint, and where the objective or all gradients are not finite.
+    """
     if options.objective is None:
         notice(f"objective: {data.named}, by the truth there is; choose another with --objective")
     if data.unused:
         notice(f"notice: without truth, and not used: {listed(data.unused)}")
-    tune = options.tune or numbers.tuned_by_default(data.tracker, data.objective.needs_truth)
+    tune = options.tune or tuned_by_default(data.tracker, data.objective.needs_truth)
     bounds = checked_bounds(data, tune, options.freeze, options.bound)
-    parameters = numbers.select_parameters(data.tracker, tune, options.freeze)
-    notices(cautions(data.tracker, parameters, data.objective))
-    advance = list[Advance]()
+    notices(cautions(data.tracker, select_parameters(data.tracker, tune, options.freeze), data.objective))
+    steps, starts, advance = options.steps, options.starts, list[Advance]()
+    begin("searching for starts" if starts > 1 else "first evaluation")
+    out, depends = output_folder(options.out), {"options": settings(options, resume=False, figures="page")}
+    start = flatten(select_parameters(data.tracker, "*", thresholds=True))
+    fingerprint = checkpoint.fingerprint(depends, [*data.batches(), *data.batches(held_out=True)], start)
+    saved = checkpoint.load(out, fingerprint) if options.resume else None
+    if options.resume and saved is None:
+        notices([f"{out}: no checkpoint found; the fit starts from the beginning"])
 
     def report(state: FitState) -> None:
-        """Advances the bar of the steps, which begins after the first evaluation."""
+        """Keeps the state, and advances the bar of the steps, which begins after the first evaluation."""
+        checkpoint.save(out, checkpoint.to_arrays(state), fingerprint)
         best, done = int(state.best_scores.argmin()), 1 if advance else int(state.number)
         advance.extend([] if advance else [begin("step", steps)])
         advance[0](done, f"objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g}")
 
-    steps, starts = options.steps, options.starts
     how = tw.FitOptions(frozen=options.freeze, bounds=bounds, steps=steps, starts=starts, prior=options.prior)
-    begin("searching for starts" if starts > 1 else "first evaluation")
-    depends, place = {"options": settings(options, resume=False, figures="page")}, Progress(report=report, stage=begin)
-    out, say = output_folder(options.out), lambda line: notices([line])
-    return kept_fit(data, tune, how, place, out, depends, options.resume, say)
+    try:
+        progress = Progress(resume=saved, report=report, stage=begin)
+        result = fit(data.tracker, data, data.objective, tune, how, progress)
+    except FloatingPointError as error:
+        raise tw.UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
+    if result.n_excluded == len(data.training):
+        words = "has finite gradients: repeated identical readings drive the noise to zero; give --bound"
+        raise tw.UnusableInput(f"at the best point ({data.named} {result.value:.4g}) no segment {words}")
+    if result.n_excluded:
+        why = "non-finite likelihood, or gradients over 1000 x the median"
+        notices([f"{result.n_excluded} of {len(data.training)} segments were excluded: {why}"])
+    return result
 
 
 def sweep_folders(
@@ -136,3 +161,55 @@ def sweep_folders(
     write_manifest(out, tracker=named.name, recordings=[str(folder.path) for folder in folders], best=swept.best)
     print(swept.text(objective, unit if objective == "rmse" else ""))
     print(f"{swept.filter_runs} trajectories filtered; wrote {out / 'sweep.csv'}, sweep.png and manifest.json")
+
+
+def checked_bounds(
+    data: FitData, tune: Sequence[str], freeze: Sequence[str], bound: Sequence[str]
+) -> dict[str, tuple[float, float]]:
+    """The bounds in texts, for the tunables that patterns select; raises UnusableInput where they do not fit."""
+    option = " ".join(["--tune", *tune, *(["--freeze"] * bool(freeze)), *freeze])
+    try:
+        parameters = select_parameters(data.tracker, tune, freeze)
+        option = f"--bound {' '.join(bound)}"
+        bounds = parse_bounds(bound)
+        require_start_within(parameters, bounds)
+    except ValueError as error:
+        raise tw.UnusableInput(f"{option}: {error}") from error
+    return bounds
+
+
+def left_out_estimates(
+    result: tw.FitResult, data: FitData, named: tw.NamedTracker, folders: Sequence[tw.RecordingFolder],
+    before: pl.DataFrame,
+) -> tuple[pl.DataFrame, str]:  # fmt: skip
+    """The estimates of recordings with values fitted without them, and how, in words; empty where the fit has seen
+    their truth, whose estimates have the fitted values.
+
+    `before`: their estimates before the fit, by whose rows blocks of time are cut: a fitted latency moves times.
+    """
+
+    def table(values: Mapping[str, np.ndarray]) -> pl.DataFrame:
+        by_name = {name: values[p.label] for p in result.parameters for name in p.names}
+        return named.with_values(by_name, "the fit").run(folders).table
+
+    parts, words = list[tuple[Mapping[str, np.ndarray], pl.Expr]](), ", whose truth the fit has not seen"
+    if data.held_out:
+        pass
+    # All are tracked with the values of each fold, by the one program that is compiled for them.
+    elif left_out := left_out_values(result):
+        words = ", each with values fitted to the others"
+        values_of = {folder.name: left_out.get(folder.name, result.values) for folder in folders}
+        for values in {id(values): values for values in values_of.values()}.values():
+            names = [name for name, other in values_of.items() if other is values]
+            parts.append((values, pl.col("recording").is_in(names)))
+    elif blocks := left_out_blocks(result, data):
+        words = f", each of {len(blocks)} blocks of time with values fitted without its truth"
+        starts = [-np.inf, *(start for start, _, _ in blocks[1:]), np.inf]
+        for (start, stop), (_, _, values) in zip(pairwise(starts), blocks, strict=True):
+            parts.append((values, pl.col("t_s").is_between(start, stop, "left")))
+    elif data.objective.needs_truth:
+        words = ""
+    if not parts:
+        return table(result.values), words
+    tables = [table(values).with_row_index("row").filter(before.select(own).to_series()) for values, own in parts]
+    return pl.concat(tables).sort("row").drop("row"), words

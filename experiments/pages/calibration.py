@@ -25,8 +25,7 @@ from trackwright.trackers.recordings.calibration import (
 )
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.tuning.calibrating import systematic
-from trackwright.tuning.calibration_pairs import Pairs, calibration_pairs
+from trackwright.tuning.calibrating import Pairs, calibration_pairs, systematic
 from trackwright.tuning.survey import Survey
 
 WIDTH, SHOWN, POINTS = 150, 24, 500

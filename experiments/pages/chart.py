@@ -139,11 +139,11 @@ def is_logarithmic(values: ArrayLike, ratio: float = 5.0) -> bool:
     return bool(len(known) and known.min() > 0 and known.max() > ratio * known.min())
 
 
-def broken_at_gaps(times: np.ndarray, *columns: np.ndarray, gap: float = 1.0) -> tuple[np.ndarray, ...]:
-    """Times and columns with a row of NaN in each gap longer than `gap` seconds and ten median steps."""
+def broken_at_gaps(times: np.ndarray, *columns: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Times and columns with a row of NaN in each gap longer than a second and ten median steps."""
     steps = np.diff(times)
     usual = float(np.median(steps)) if len(steps) else 0.0
-    at = np.flatnonzero(steps > max(gap, 10 * usual)) + 1
+    at = np.flatnonzero(steps > max(1.0, 10 * usual)) + 1
     middles = 0.5 * (times[at] + times[at - 1])
     return np.insert(times, at, middles), *(np.insert(column, at, np.nan, axis=0) for column in columns)
 
@@ -211,11 +211,11 @@ def write(chart: Chart, path: Path | str) -> Path:
     return Path(path)
 
 
-def write_charts(folder: Path, charts: Iterable[Chart], kind: str, prefix: str = "") -> list[str]:
+def write_charts(folder: Path, charts: Iterable[Chart], kind: str) -> list[str]:
     """Writes each chart as a file into the folder; returns their names. `kind`: their ending, png or pdf."""
     names: list[str] = []
     for chart in charts:
-        name = re.sub(r"[^\w.-]", "_", prefix + chart.name)[:100]
+        name = re.sub(r"[^\w.-]", "_", chart.name)[:100]
         while f"{name}.{kind}" in names:
             name += "_"
         names.append(write(chart, folder / f"{name}.{kind}").name)

@@ -38,7 +38,7 @@ def page(template: str, **content: Any) -> str:
         loader=PackageLoader("trackwright.experiments.pages"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    made.filters |= {"cell": _cell, "json": lambda content: Markup(script_json(content))}
+    made.filters |= {"cell": _cell, "json": _script_json}
     made.globals |= {
         "plotting_script": _plotting_script,
         "source": lambda name: Markup((SOURCES / name).read_text("utf-8")),
@@ -59,9 +59,10 @@ def _plotting_script() -> Markup:
     return Markup((Path(spec.origin).parent / "package_data" / "plotly.min.js").read_text(encoding="utf-8"))
 
 
-def script_json(content: Any) -> str:
+def _script_json(content: Any) -> Markup:
     """The content as JSON for a `<script type="application/json">`, which a `</script>` in a text does not end."""
-    return json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    return Markup(text.replace("<", "\\u003c"))
 
 
 def typed(command: Sequence[str]) -> str:

@@ -201,10 +201,10 @@ def title_of(column: Metric) -> str:
     return f"{column.short}\ns" if column.unit == "s" else column.short
 
 
-def pose_errors_text(compared: Sequence[Any], align: str, width: int, fitted_offset: bool = False) -> str:
+def pose_errors_text(compared: Sequence[Any], align: str, width: int) -> str:
     """The errors of each track, a row for each kind of error, and what was done to the estimates before.
 
-    `compared`: of each track, what `to_dict` gives. `fitted_offset`: whether the time offset is the one that fits best.
+    `compared`: of each track, what `to_dict` gives.
     """
     tracks, rows = sorted((one.to_dict() for one in compared), key=lambda of: -of["ape_m"]["rmse"]), []
     unit = length_unit(tracks[0]["ape_m"]["rmse"])
@@ -226,7 +226,6 @@ def pose_errors_text(compared: Sequence[Any], align: str, width: int, fitted_off
     notes = (
         f"As evo: {pairs} of {possible} poses have a true pose within {tracks[0]['time_tolerance_s']:g} s; time offset "
         f"{' to '.join(sorted(offsets))} s; alignment {align}{scale}.",
-        "The fitted time offset holds the delay of a filter, too." if fitted_offset else "",
         "APE and RPE are horizontal: a height is unknown." if any(of["planar"] for of in tracks) else "",
         f"The {SHOWN_TRACKS} tracks with the largest APE are listed." if len(tracks) > SHOWN_TRACKS else "",
     )

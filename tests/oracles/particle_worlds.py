@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from trackwright.experiments.lab.validation.nis import NEVER_LOST, KnownStart
+from tests.known_start import NEVER_LOST
 from trackwright.trackers.baselines.floor import Walls
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.filters.filter import Innovation
@@ -24,8 +24,8 @@ from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import State
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.motion import LineMotion, PathState
+from trackwright.trackers.line.tracker import FIXES, FloorFixes
 
 CORRIDOR = np.array([[0.0, 0.0], [6.0, 1.5]])
 """Opposite corners of the corridor, m."""
@@ -63,8 +63,20 @@ def rectangle(corners: np.ndarray) -> np.ndarray:
     return np.hstack([knots[:-1], knots[1:]])
 
 
-CORRIDOR_START = KnownStart(lambda x: Placed(Vector.of(x)), (0.0, 0.0), (1.0, 1.0))
-"""A prior has to be normal. This one is standard normal, for `uniform` to map it to the start rectangle."""
+class CorridorStart(AbstractStart):
+    """A prior has to be normal. This one is standard normal, for `uniform` to map it to the start rectangle."""
+
+    def can_start(self, row):
+        return row.valid
+
+    def candidate(self, sensors, row):
+        return jnp.zeros_like(row.dt)
+
+    def belief(self, candidate, row):
+        return Gaussian(Placed(Vector(candidate, candidate)), diagonal([1.0, 1.0], candidate))
+
+
+CORRIDOR_START = CorridorStart()
 
 
 def uniform(belief: Particles) -> Particles:

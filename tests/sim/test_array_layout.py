@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from trackwright.experiments.lab.papers.will_2020.fit_array_layout import SMALLEST_SPACING, TABLE_1_DEG, fitted_layout
+from trackwright.experiments.lab.papers.will_2020._work_stand import SMALLEST_SPACING, TABLE_1_DEG, fitted_layout
 from trackwright.trackers.aoa.phases import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH, boresight_bounds
 
 

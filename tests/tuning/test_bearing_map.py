@@ -12,10 +12,8 @@ from trackwright.trackers.catalogue import build
 from trackwright.trackers.core.filters.quadrature import QuadratureKalman
 from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.evaluation.evaluate import evaluate
-from trackwright.trackers.parts.bearing_map import UNKNOWN, floor_grid, predicted
-from trackwright.trackers.recordings.calibration import UNCALIBRATED
-from trackwright.tuning.calibrating import calibrate
-from trackwright.tuning.calibration_pairs import Pairs, visits_of
+from trackwright.trackers.recordings.calibration import UNCALIBRATED, UNKNOWN, floor_grid, predicted
+from trackwright.tuning.calibrating import Pairs, calibrate, visits_of
 
 RNG = np.random.default_rng(0)
 VISITS = np.column_stack([RNG.uniform(0.0, 4.0, (40, 2)), RNG.normal(0.0, [0.1, 0.2], (40, 2))])

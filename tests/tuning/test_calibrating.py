@@ -14,8 +14,7 @@ from trackwright.trackers.recordings.calibration import ANGLE_PRIOR, RANGE_PRIOR
 from trackwright.trackers.recordings.columns import PIECE_M, PIECE_S
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.tuning.calibrating import LEAST_SLOPE, calibrate
-from trackwright.tuning.calibration_pairs import calibration_pairs
+from trackwright.tuning.calibrating import LEAST_SLOPE, calibrate, calibration_pairs
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
 

@@ -13,16 +13,17 @@ from trackwright.trackers.aoa.beamformer import Grid, direction
 from trackwright.trackers.aoa.fusion import region_centre
 from trackwright.trackers.aoa.phases import SphericalPhases, require_arrays
 from trackwright.trackers.aoa.rays import nearest_to_rays, unit_vector
-from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, product, total
+from trackwright.trackers.core.model.algebra import Scalar, product, total
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import HEIGHT, Input
-from trackwright.trackers.core.model.motion import ConstantVelocity, Kinematic, Noise
+from trackwright.trackers.core.model.motion import ConstantVelocity, Noise
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
+from trackwright.trackers.parts.start_nearby import at_rest
 
 
 class PhaseStart(AbstractStart):
@@ -62,10 +63,7 @@ class PhaseStart(AbstractStart):
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
-        zero = jnp.zeros_like(candidate[0])
-        position, velocity = self.sigma_position.value**2, self.sigma_velocity.value**2
-        state = Kinematic(Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * n))
-        return Gaussian(state, diagonal([position] * n + [velocity] * n, zero))
+        return at_rest([candidate[k] for k in range(n)], n, self.sigma_position, self.sigma_velocity)
 
 
 def direct_tracker(

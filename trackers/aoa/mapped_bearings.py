@@ -16,7 +16,7 @@ from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.state import wrap
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.bearing_map import UNKNOWN
+from trackwright.trackers.recordings.calibration import UNKNOWN
 
 DRIFTING = 0.5  # share of the variance about the map that drifts; the rest is white
 FACTORS = np.sqrt(DRIFTING) / np.array(CALIBRATED["sigma_bias"])  # of a bias, times the standard deviation there

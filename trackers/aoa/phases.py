@@ -107,7 +107,16 @@ class AbstractPlanePhases(AbstractPhaseSensor):
     antennas' x, y.
     """
 
-    wavenumbers: eqx.AbstractVar[Any]
+    sigma_p: Noise
+    offsets: Noise
+    wavenumbers: Any
+    paper_form: bool = eqx.field(static=True)
+
+    def __init__(self, station: Station, sigma_p: float | Noise, paper_form: bool):
+        antennas, wavelength = _array(station)
+        self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
+        self.wavenumbers = 2 * np.pi / wavelength * antennas
+        self.offsets = Real(np.zeros(len(antennas)), "rad", typical=0.1)
 
     @abstractmethod
     def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
@@ -123,14 +132,8 @@ class PlanePhases(AbstractPlanePhases):
 
     view_fields: ClassVar[tuple[str, ...]] = ("azimuth", "elevation")
 
-    sigma_p: Noise
-    offsets: Noise
-    wavenumbers: Any
-    paper_form: bool = eqx.field(static=True)
-
     def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
-        self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
-        self.wavenumbers, self.offsets = _wavenumbers_and_offsets(station)
+        super().__init__(station, sigma_p, paper_form)
 
     def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
         return compute_once((jnp.sin(view.azimuth) * jnp.cos(view.elevation), jnp.sin(view.elevation)))
@@ -144,14 +147,8 @@ class InPlanePhases(AbstractPlanePhases):
 
     view_fields: ClassVar[tuple[str, ...]] = ("heading",)
 
-    sigma_p: Noise
-    offsets: Noise
-    wavenumbers: Any
-    paper_form: bool = eqx.field(static=True)
-
     def __init__(self, station: Station, sigma_p: float | Noise = 0.5, paper_form: bool = False):
-        self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
-        self.wavenumbers, self.offsets = _wavenumbers_and_offsets(station)
+        super().__init__(station, sigma_p, paper_form)
 
     def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
         return jnp.cos(view.heading.angle), jnp.sin(view.heading.angle)
@@ -197,12 +194,6 @@ class SphericalPhases(AbstractPhaseSensor):
             shorter = (2.0 * to_tag.dot(a) - a.dot(a)) / (distance + (to_tag - a).norm())
             phases.append(self.wavenumber * shorter + offset)
         return phases
-
-
-def _wavenumbers_and_offsets(station: Station) -> tuple[np.ndarray, Real]:
-    """2π/λ times the antennas' x, y (n, 2), and offsets of zero."""
-    antennas, wavelength = _array(station)
-    return 2 * np.pi / wavelength * antennas, Real(np.zeros(len(antennas)), "rad", typical=0.1)
 
 
 def _array(station: Station) -> tuple[np.ndarray, float]:
@@ -307,14 +298,15 @@ ratios of the printed errors; among the many such layouts this one has low ambig
 """
 
 
-def boresight_bounds(antennas: AnyArray, wavelength: float = DEFAULT_WAVELENGTH, sigma_p: float = 1.0) -> np.ndarray:
+def boresight_bounds(antennas: AnyArray, sigma_p: float = 1.0) -> np.ndarray:
     """Cramér–Rao bounds (…, 2), rad, of azimuth and elevation at boresight from one row of phases of one array.
 
     `antennas` (..., n, 2) in m, `sigma_p` the phase noise in rad. One unknown common offset leaves the information
-    G' (I - 11'/n) G / sigma_p², with G = 2 pi / wavelength times the positions: the scatter about their centroid.
+    G' (I - 11'/n) G / sigma_p², with G = 2 pi / wavelength (the default) times the positions: the scatter
+    about their centroid.
     """
     centred = antennas - antennas.mean(axis=-2, keepdims=True)
     x, y = centred[..., 0], centred[..., 1]
     xx, yy, xy = (x * x).sum(-1), (y * y).sum(-1), (x * y).sum(-1)
     variances = np.stack([yy, xx], axis=-1) / (xx * yy - xy * xy)[..., None]
-    return sigma_p * wavelength / (2 * np.pi) * np.sqrt(variances)
+    return sigma_p * DEFAULT_WAVELENGTH / (2 * np.pi) * np.sqrt(variances)

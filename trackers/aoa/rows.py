@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.trackers.aoa.beam import PHASES, beam_tracker, in_plane_beam_tracker
+from trackwright.trackers.aoa.beam import PHASES, DelayAndSum, beam_tracker, in_plane_beam_tracker
 from trackwright.trackers.aoa.cascade import cascade_tracker
-from trackwright.trackers.aoa.das import DelayAndSum
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
 from trackwright.trackers.aoa.mapped_bearings import mapped_bearing_tracker
@@ -19,7 +18,7 @@ from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.rig import Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.parts.bearing_map import floor_grid
+from trackwright.trackers.recordings.calibration import floor_grid
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
@@ -233,10 +232,6 @@ def _array(station: Station) -> tuple[Hashable, ...]:
     return np.asarray(station.antennas).tobytes(), station.wavelength
 
 
-def _one_array(trajectory: Trajectory) -> Hashable:
-    return _array(_station(trajectory))
-
-
 def _all_arrays(trajectory: Trajectory) -> Hashable:
     return tuple(
         (name, *_array(s), np.asarray(s.position).tobytes(), np.asarray(s.rotation).tobytes())
@@ -248,7 +243,7 @@ _per_station = partial(
     TrackerSpec,
     trajectories=beam_trajectories,
     lacks=stations_of("phases", 1),
-    geometry=_one_array,
+    geometry=lambda trajectory: _array(_station(trajectory)),
     planar=_in_plane,
     bearing_only=True,
 )

@@ -29,16 +29,17 @@ from trackwright.trackers.core.filters.imm import (
     Mixture,
     SwitchingMotion,
 )
-from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
+from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import HEIGHT, Input, Inputs
 from trackwright.trackers.core.model.linearise import covariance_of
-from trackwright.trackers.core.model.motion import GroundMotion, Kinematic, Noise
+from trackwright.trackers.core.model.motion import GroundMotion, Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Row
 from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.tunable import Considered, Real, Scale
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart
+from trackwright.trackers.parts.start_nearby import at_rest
 
 BELOW, ABOVE = 0, 1
 
@@ -173,10 +174,7 @@ class MirrorStart(AbstractStart):
         return jnp.stack([values[0], values[1], row.inputs["fix_z"]])
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
-        zero = jnp.zeros_like(candidate[0])
-        state = Kinematic(Vector(*(candidate[k] for k in range(3))), Vector(zero, zero))
-        position, velocity = self.sigma_position.value**2, self.sigma_velocity.value**2
-        return Gaussian(state, diagonal([position] * 3 + [velocity] * 2, zero))
+        return at_rest([candidate[k] for k in range(3)], 2, self.sigma_position, self.sigma_velocity)
 
 
 def switching_tracker(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import equinox as eqx
@@ -24,7 +24,7 @@ from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_heights, trajectories_of
 from trackwright.trackers.uwb_imu import difference_rows
 from trackwright.trackers.uwb_imu import rows as range_rows
-from trackwright.trackers.uwb_imu.differences import TDOA
+from trackwright.trackers.uwb_imu.fusion import TDOA
 
 
 def _placed_fixes(folder: RecordingFolder, free_height: bool) -> Trajectories:
@@ -142,17 +142,13 @@ def _fused(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return fused_tracker(trackers, planar)
 
 
-def _geometry(trajectory: Trajectory) -> Hashable:
-    return tuple((name, KINDS[name].geometry(trajectory)) for name in trajectory.recording.readings)
-
-
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "fusion": partial(
         TrackerSpec,
         trajectories=fused_trajectories,
         build=_fused,
         lacks=lacks_two_kinds,
-        geometry=_geometry,
+        geometry=lambda one: tuple((name, KINDS[name].geometry(one)) for name in one.recording.readings),
         automatic=independent_kinds,
         every_row=(BEARINGS,),
     )

@@ -13,8 +13,7 @@ from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.line.fixes import FIXES, FloorFixes
-from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
+from trackwright.trackers.line.tracker import FIXES, FloorFixes, line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import KnotTimes, knot_times
 from trackwright.trackers.parts.fixes import AXES_M, AXES_STD_M
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor, range_trajectories
@@ -170,13 +169,7 @@ _on_path = partial(
 )
 
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
-    "line-grid": partial(
-        _on_path,
-        build=_builder(line_grid_tracker),
-    ),
-    "line-pf": partial(
-        _on_path,
-        build=_builder(line_tracker),
-    ),
+    "line-grid": partial(_on_path, build=_builder(line_grid_tracker)),
+    "line-pf": partial(_on_path, build=_builder(line_tracker)),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

@@ -37,13 +37,7 @@ _mhk = partial(
 )
 
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
-    "mhk": partial(
-        _mhk,
-        build=lambda trajectory, planar: mhk_tracker(),
-    ),
-    "mhk-stamped": partial(
-        _mhk,
-        build=lambda trajectory, planar: mhk_tracker(stamped=True),
-    ),
+    "mhk": partial(_mhk, build=lambda trajectory, planar: mhk_tracker()),
+    "mhk-stamped": partial(_mhk, build=lambda trajectory, planar: mhk_tracker(stamped=True)),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

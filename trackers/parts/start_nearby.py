@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -77,10 +77,13 @@ class NearbyStart(AbstractNearbyStart):
     velocities: int = eqx.field(static=True)
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
-        n = 2 if self.planar else 3
         # Not the candidate, which carries no derivative: the points of a cascade depend on its beams.
-        point = row.inputs[NEARBY.name]
-        zero = jnp.zeros_like(point[0])
-        position, velocity = self.sigma_position.value**2, self.sigma_velocity.value**2
-        state = Kinematic(Vector(*(point[k] for k in range(n))), Vector(*[zero] * self.velocities))
-        return Gaussian(state, diagonal([position] * n + [velocity] * self.velocities, zero))
+        place = [row.inputs[NEARBY.name][k] for k in range(2 if self.planar else 3)]
+        return at_rest(place, self.velocities, self.sigma_position, self.sigma_velocity)
+
+
+def at_rest(place: Sequence[Scalar], velocities: int, sigma_position: Noise, sigma_velocity: Noise) -> Gaussian:
+    """The belief of a `Kinematic` state at a place (n,), m, with so many velocities, all zero."""
+    zero, position, velocity = jnp.zeros_like(place[0]), sigma_position.value**2, sigma_velocity.value**2
+    state = Kinematic(Vector(*place), Vector(*[zero] * velocities))
+    return Gaussian(state, diagonal([position] * len(place) + [velocity] * velocities, zero))

@@ -33,8 +33,7 @@ from trackwright.trackers.recordings.trajectories import (
 )
 from trackwright.trackers.uwb_imu.body import LASTS, ODOMETRY, Wheels, body_tracker, odometry_inputs
 from trackwright.trackers.uwb_imu.difference_rows import difference_trajectories, lacks_differences, slots_of
-from trackwright.trackers.uwb_imu.differences import TDOA
-from trackwright.trackers.uwb_imu.fusion import range_levels
+from trackwright.trackers.uwb_imu.fusion import TDOA, range_levels
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker, inertial_tracker
 from trackwright.trackers.uwb_imu.rows import anchors_of, bias_slots, lacks_ranges
 from trackwright.trackers.uwb_imu.rows_between import imu_inputs, tilting_tags, to_level_axes, with_rows_between
@@ -256,21 +255,13 @@ def _as_one(trajectory: Trajectory) -> int:
     return max(1, round(LASTS / max(float(np.median(elapsed)), 1e-3))) if len(elapsed) else 1
 
 
-def _inertial(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return replace(inertial_tracker(anchors_of(trajectory), planar), lasting_errors=not _is_calibrated(trajectory))
-
-
-def _inertial_of_differences(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return replace(
-        inertial_difference_tracker(anchors_of(trajectory), slots_of(trajectory), planar), lasting_errors=True
-    )
-
-
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "uwb-imu": partial(
         TrackerSpec,
         trajectories=inertial_trajectories,
-        build=_inertial,
+        build=lambda trajectory, planar: replace(
+            inertial_tracker(anchors_of(trajectory), planar), lasting_errors=not _is_calibrated(trajectory)
+        ),
         notices=tilting_tags,
         lacks=lacks_ranges_or_imu,
         geometry=lambda trajectory: (
@@ -295,7 +286,9 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "tdoa-imu": partial(
         TrackerSpec,
         trajectories=inertial_difference_trajectories,
-        build=_inertial_of_differences,
+        build=lambda trajectory, planar: replace(
+            inertial_difference_tracker(anchors_of(trajectory), slots_of(trajectory), planar), lasting_errors=True
+        ),
         notices=partial(tilting_tags, read=TDOA, without=TDOA),
         lacks=lacks_differences_or_imu,
         geometry=lambda trajectory: (anchors_of(trajectory), slots_of(trajectory)),

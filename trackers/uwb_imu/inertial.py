@@ -21,8 +21,7 @@ from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor, with_delay
 from trackwright.trackers.parts.start_nearby import NEARBY, AbstractNearbyStart
-from trackwright.trackers.uwb_imu.differences import TDOA, RangeDifferenceSensor
-from trackwright.trackers.uwb_imu.fusion import MAX_BIASES, REACH
+from trackwright.trackers.uwb_imu.fusion import MAX_BIASES, REACH, TDOA, RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 

@@ -9,18 +9,11 @@ from functools import partial
 import numpy as np
 
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.ranges import (
-    anchor_positions,
-    lacks_a_plane,
-    range_trajectories,
-)
+from trackwright.trackers.parts.ranges import anchor_positions, lacks_a_plane, range_trajectories
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import (
-    Trajectory,
-    known_heights,
-)
+from trackwright.trackers.recordings.trajectories import Trajectory, known_heights
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 
 MAX_RANGE_RATIO = 20.0

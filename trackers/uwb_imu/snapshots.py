@@ -12,11 +12,7 @@ import numpy as np
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS
 from trackwright.trackers.parts.multilaterate import latest_rows
-from trackwright.trackers.parts.ranges import (
-    RANGES,
-    anchor_positions,
-    range_rows,
-)
+from trackwright.trackers.parts.ranges import RANGES, anchor_positions, range_rows
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
@@ -26,9 +22,8 @@ from trackwright.trackers.recordings.trajectories import (
     known_heights,
     trajectories_of,
 )
-from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
 from trackwright.trackers.uwb_imu.rows import anchors_of, lacks_ranges
-from trackwright.trackers.uwb_imu.trilateration import trilateration_tracker
+from trackwright.trackers.uwb_imu.trilateration import multilateration_tracker, trilateration_tracker
 
 WINDOWS = (0.1, 0.25, 0.5, 1.0)
 """Candidate times, s, for which a range stays valid in a snapshot of the latest ranges."""
@@ -108,13 +103,16 @@ def _lacks_known_height(folder: RecordingFolder) -> str | None:
     return f"height_m in rig.toml for every tag, found none for {', '.join(free)}" if free else None
 
 
-_trilateration = partial(
-    TrackerSpec,
-    trajectories=triple_trajectories,
-    lacks=_lacks_known_height,
-    planar=lambda trajectory, free_height: True,
-    every_row=(RANGES,),
-)
+def _trilateration(compensated: bool) -> Callable[..., TrackerSpec]:
+    return partial(
+        TrackerSpec,
+        trajectories=triple_trajectories,
+        build=lambda trajectory, planar: trilateration_tracker(compensated),
+        lacks=_lacks_known_height,
+        planar=lambda trajectory, free_height: True,
+        every_row=(RANGES,),
+    )
+
 
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "multilateration": partial(
@@ -125,13 +123,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         geometry=anchors_of,
         every_row=(RANGES,),
     ),
-    "trilateration": partial(
-        _trilateration,
-        build=lambda trajectory, planar: trilateration_tracker(compensated=False),
-    ),
-    "trilateration-compensated": partial(
-        _trilateration,
-        build=lambda trajectory, planar: trilateration_tracker(compensated=True),
-    ),
+    "trilateration": _trilateration(compensated=False),
+    "trilateration-compensated": _trilateration(compensated=True),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

@@ -32,8 +32,12 @@ from trackwright.trackers.evaluation.rows import scored_rows
 
 PEERS, PAGE = Path(__file__).with_name("peers"), Path("docs/side-by-side.md")
 OURS, SMOOTHED, OPTIMUM = "trackwright", "trackwright-smoothed", "optimum"
-ESTIMATORS = ("numpy-ekf", "filterpy", "stonesoup", "cuthbert", "dynamax", "gtsam-lag", "gtsam")
-"""Of each there is an adapter in `peers`."""
+ESTIMATORS = {
+    "numpy-ekf": "model:numpy_ekf", "filterpy": "with_filterpy:estimate", "stonesoup": "with_stonesoup:estimate",
+    "cuthbert": "with_cuthbert:prepared", "dynamax": "with_dynamax:prepared", "gtsam-lag": "with_gtsam:incremental",
+    "gtsam": "with_gtsam:estimate",
+}  # fmt: skip
+"""The function in `peers` of each."""
 LATER = ("dynamax", "gtsam")
 """Those that use later readings."""
 DEVELOPMENT = {
@@ -52,9 +56,9 @@ def peer(name: str, recording: str, levels: Sequence[tuple[float, float]], most:
     folder = data.folder_of(recording, most)
     given = list(data.problems(folder, most))
     with tempfile.TemporaryDirectory() as place:
-        file, adapter = Path(place, "problems"), f"with_{name.replace('-', '_')}"
+        file = Path(place, "problems")
         file.write_bytes(pickle.dumps((levels, [asdict(problem) for _, problem in given])))
-        new_interpreter(["-E", str(PEERS / "run_peer.py"), adapter, str(file)], LIMIT_S * len(levels))
+        new_interpreter(["-E", str(PEERS / "run_peer.py"), ESTIMATORS[name], str(file)], LIMIT_S * len(levels))
         seconds, estimates = pickle.loads(file.read_bytes())
     for found in zip(*estimates, strict=True):
         tables = (_table(folder.name, *one, *path) for one, path in zip(given, found, strict=True))

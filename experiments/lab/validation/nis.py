@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,17 +23,16 @@ from trackwright.trackers.aoa.fusion import BearingSensor
 from trackwright.trackers.aoa.phases import AbstractPhaseSensor
 from trackwright.trackers.core.data.consistency import nis_band, student_t_dof_of
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
-from trackwright.trackers.core.model.algebra import Vector, diagonal, triangle
+from trackwright.trackers.core.model.algebra import Vector, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import retract
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.line.fixes import FloorFixes
+from trackwright.trackers.line.tracker import FloorFixes
 from trackwright.trackers.parts.fixes import AbstractFixSensor
 from trackwright.trackers.parts.ranges import RangeSensor
-from trackwright.trackers.uwb_imu.differences import RangeDifferenceSensor
+from trackwright.trackers.uwb_imu.fusion import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter, with_yaw_added
 
 TAGS, SEEDS, SETTLED, WINDOW, NARROWER = 24, 5, 5.0, 50, 30.0
@@ -81,24 +79,6 @@ def figures(name: str, seed: int) -> Figures:
 
 
 NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
-
-
-class KnownStart(AbstractStart):
-    """Start at the first row, with a state made of independent normal numbers of these means and deviations."""
-
-    state: Callable[[Sequence[Any]], Any] = eqx.field(static=True)
-    means: tuple[float, ...] = eqx.field(static=True)
-    deviations: tuple[float, ...] = eqx.field(static=True)
-
-    def can_start(self, row: Row) -> Any:
-        return row.valid
-
-    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        return row.dt
-
-    def belief(self, candidate: Any, row: Row) -> Gaussian:
-        zero = jnp.zeros_like(row.dt)
-        return Gaussian(self.state([zero + m for m in self.means]), diagonal([d * d for d in self.deviations], zero))
 
 
 def own_world(

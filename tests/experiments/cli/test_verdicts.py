@@ -8,7 +8,6 @@ import pytest
 
 from tests.experiments.cli.small_archive import random_walk
 from tests.in_process import assert_refused, trackwright
-from trackwright.experiments.jobs import fits
 from trackwright.tuning.tuned_file import read_tuned
 
 FIT = ("--tracker", "fix-kf", "--tune", "sensors.fixes.sigma_horizontal", "--starts", 1)
@@ -68,7 +67,9 @@ def test_without_truth_nothing_is_judged(tmp_path):
 
 
 def test_a_fit_that_ran_away_with_all_recordings_gives_no_numbers(tmp_path, simulated, monkeypatch):
-    monkeypatch.setattr(fits, "fit", lambda *rest, **options: SimpleNamespace(n_excluded=6, value=-34.5))
+    monkeypatch.setattr(
+        "trackwright.experiments.cli.tuning.fit", lambda *rest, **options: SimpleNamespace(n_excluded=6, value=-34.5)
+    )
     options = ("--tracker", "beam", "--objective", "nll", "--starts", 1)
     said = trackwright("tune", simulated, *options, "--out", tmp_path / "out")
     assert_refused(said, "nll -34.5", "no segment has finite gradients", "--bound")

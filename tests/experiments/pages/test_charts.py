@@ -21,7 +21,7 @@ from trackwright.experiments.pages.study import study_charts
 from trackwright.experiments.text.expectations import Value
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.tuning.calibration_pairs import Pairs
+from trackwright.tuning.calibrating import Pairs
 
 mpl.use("Agg")
 

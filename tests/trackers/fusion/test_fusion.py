@@ -21,8 +21,7 @@ from trackwright.trackers.fusion.tracker import fused_tracker
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.uwb_imu.differences import TDOA, difference_tracker
-from trackwright.trackers.uwb_imu.fusion import range_tracker
+from trackwright.trackers.uwb_imu.fusion import TDOA, difference_tracker, range_tracker
 
 FAR, NORMAL = 1e7, 1e6
 """A distance, m, at which readings are linear, and degrees of freedom at which Student's t is normal."""

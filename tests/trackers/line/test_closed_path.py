@@ -9,9 +9,9 @@ from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
+from trackwright.trackers.line.tracker import FIXES, FloorFixes
 
 CORNERS = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]]
 LOOP, LAPS = Polyline([*CORNERS, CORNERS[0]]), Polyline([*CORNERS, *CORNERS, *CORNERS, CORNERS[0]])

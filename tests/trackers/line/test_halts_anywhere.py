@@ -16,9 +16,9 @@ from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.core.run.tracker import Tracker, filter_batch
-from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, PathOutputMap
+from trackwright.trackers.line.tracker import FIXES, FloorFixes
 
 LINE, SIGMA_FIX, TRAVEL, KEYS = Polyline([[0.0, 0.0], [5.0, 0.0]]), 0.3, 2.0, 64
 MAP = PathOutputMap(LINE, Scale(1e-3, "m"))

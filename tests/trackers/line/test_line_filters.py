@@ -13,9 +13,9 @@ from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
+from trackwright.trackers.line.tracker import FIXES, FloorFixes
 
 KEYS, ROWS, DT = 200, 12, 0.5
 PARTICLES = 4000

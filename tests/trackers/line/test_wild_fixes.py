@@ -7,10 +7,9 @@ import pytest
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.model.polyline import Polyline
-from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import LineMotion, PathOutputMap
-from trackwright.trackers.line.tracker import line_grid_tracker, line_tracker
+from trackwright.trackers.line.tracker import FIXES, FloorFixes, line_grid_tracker, line_tracker
 
 LENGTH, ROWS, DT, SIGMA, DOF = 20.0, 150, 0.1, 0.3, 4.0
 TIMES = DT * np.arange(ROWS)

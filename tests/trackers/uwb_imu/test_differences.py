@@ -22,7 +22,7 @@ from trackwright.trackers.uwb_imu.difference_rows import (
     correlations,
     difference_trajectories,
 )
-from trackwright.trackers.uwb_imu.differences import TDOA, RangeDifferenceSensor, difference_tracker
+from trackwright.trackers.uwb_imu.fusion import TDOA, RangeDifferenceSensor, difference_tracker
 
 STAR = [(1, 0), (2, 0), (3, 0)]
 CHAIN = [(1, 0), (2, 1), (3, 2)]

@@ -19,7 +19,7 @@ from trackwright.trackers.core.model.rig import Tag
 from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.uwb_imu.difference_rows import SHARED, correlations
-from trackwright.trackers.uwb_imu.differences import TDOA
+from trackwright.trackers.uwb_imu.fusion import TDOA
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise
 

@@ -8,7 +8,7 @@ import pytest
 from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.parts.multilaterate import multilaterate
 from trackwright.trackers.parts.ranges import RANGES
-from trackwright.trackers.uwb_imu.multilateration import multilateration_tracker
+from trackwright.trackers.uwb_imu.trilateration import multilateration_tracker
 
 ANCHORS = np.array(
     [[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.3], [4.0, 4.0, 2.8]]

@@ -9,7 +9,8 @@ import fnmatch
 import re
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, ClassVar, Literal, TypeVar, get_args
+from dataclasses import fields
+from typing import Any, ClassVar, Literal, Self, TypeVar, get_args
 
 import equinox as eqx
 import jax
@@ -40,9 +41,9 @@ class AbstractTunable(eqx.Module):
     def value(self) -> Any:
         """The physical value, in `unit`."""
 
-    @abstractmethod
-    def with_value(self, value: Any) -> AbstractTunable:
+    def with_value(self, value: Any) -> Self:
         """The same tunable with another physical value."""
+        return type(self)(value, *(getattr(self, field.name) for field in fields(self) if field.name != "raw"))
 
 
 def _numbers(kind: str, value: Any) -> tuple[Any, Any]:
@@ -82,9 +83,6 @@ class Scale(AbstractTunable):
     def value(self) -> Any:
         return jnp.exp(self.raw)
 
-    def with_value(self, value: Any) -> Scale:
-        return Scale(value, self.unit, self.role, self.axis)
-
 
 class Fraction(AbstractTunable):
     """A number strictly between 0 and 1, such as a probability; tuned on the logit scale."""
@@ -103,9 +101,6 @@ class Fraction(AbstractTunable):
     @property
     def value(self) -> Any:
         return jax.nn.sigmoid(self.raw)
-
-    def with_value(self, value: Any) -> Fraction:
-        return Fraction(value, self.unit)
 
 
 class Real(AbstractTunable):
@@ -127,9 +122,6 @@ class Real(AbstractTunable):
     @property
     def value(self) -> Any:
         return self.raw * self.typical
-
-    def with_value(self, value: Any) -> Real:
-        return Real(value, self.unit, self.typical)
 
 
 class Covariance(AbstractTunable):
@@ -165,9 +157,6 @@ class Covariance(AbstractTunable):
         entries = [[sum(factor[i][k] * factor[j][k] for k in range(min(i, j) + 1)) for j in range(n)] for i in range(n)]
         return jnp.stack([jnp.stack(row) for row in entries])
 
-    def with_value(self, value: Any) -> Covariance:
-        return Covariance(value, self.unit, self.role, self.axis)
-
 
 class AbstractGiven(AbstractTunable):
     """A number that is set by name and swept as other tunables are, but no fit changes it."""
@@ -190,9 +179,6 @@ class AbstractGiven(AbstractTunable):
     @property
     def value(self) -> Any:
         return self.raw
-
-    def with_value(self, value: Any) -> AbstractGiven:
-        return type(self)(value, self.unit)
 
 
 class Threshold(AbstractGiven):

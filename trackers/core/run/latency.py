@@ -19,9 +19,9 @@ import jax.numpy as jnp
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S
+from trackwright.trackers.core.filters.rts import Elapsed
 from trackwright.trackers.core.model.algebra import Scalar, Vector, congruence, full, triangle
 from trackwright.trackers.core.model.covariance import AnyCovariance, as_scalars
-from trackwright.trackers.core.model.elapsed import Elapsed
 from trackwright.trackers.core.model.linearise import linearise
 from trackwright.trackers.core.model.motion import Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor

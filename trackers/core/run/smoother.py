@@ -73,7 +73,8 @@ class Smoothed(AbstractEpochwiseTracker):
             return moments(beliefs if few(batch.size) else in_scalars(beliefs))
 
         if self.lag is None:
-            to_next = jax.tree_util.tree_map(_with_zero_row, (connected, dt, inputs))
+            padded = lambda x: jnp.concatenate([x, jnp.zeros_like(x[:1])])  # noqa: E731
+            to_next = jax.tree_util.tree_map(padded, (connected, dt, inputs))
             mean, cov = fixed_interval(gain_of, filter_.rts_step, estimate_of, filtered, *to_next)
         else:
             but_last, end = (jax.tree_util.tree_map(lambda x, k=k: x[k], filtered) for k in (slice(-1), -1))
@@ -110,7 +111,3 @@ def _factor(smoothed: Scalar, filtered: Scalar) -> Scalar:
     # The square root has no derivative at zero.
     some = shared > 0
     return jnp.sqrt(1.0 + 2.0 * jnp.where(some, jnp.sqrt(jnp.where(some, shared, 1.0)), 0.0))
-
-
-def _with_zero_row(x: jax.Array) -> jax.Array:
-    return jnp.concatenate([x, jnp.zeros_like(x[:1])])

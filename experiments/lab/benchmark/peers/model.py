@@ -1,4 +1,4 @@
-"""What every estimator is given, and its model of constant velocity; peers never import trackwright."""
+"""What every estimator is given, its model of constant velocity, and the plain filter, all without trackwright."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -115,3 +115,30 @@ def transition(d: int, dt: float) -> np.ndarray:
 def diffusion(d: int, dt: float, acceleration: float) -> np.ndarray:
     """The covariance (2d, 2d) that white acceleration, m/s² per √Hz, adds over dt seconds."""
     return acceleration**2 * np.kron(np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]), np.eye(d))
+
+
+def states(p: Problem, acceleration: float, reading: float) -> tuple[np.ndarray, np.ndarray]:
+    """The filtered states (N, 2d) and their covariances by the textbook's extended Kalman filter.
+
+    NumPy, one row after another, scalar updates in Joseph form.
+    """
+    x, P = p.beginning
+    means, covariances, eye = np.empty((len(p.times), len(x))), np.empty((len(p.times), *P.shape)), np.eye(len(x))
+    for row, dt in enumerate(p.steps):
+        F = transition(p.d, dt)
+        x, P = F @ x, F @ P @ F.T + diffusion(p.d, dt, acceleration)
+        step = np.zeros(len(x))
+        for off, H in zip(p.off(x, row), p.slopes(x, row), strict=True):
+            gain = P @ H / (H @ P @ H + reading**2)
+            step = step + gain * (off - H @ step)
+            rest = eye - np.outer(gain, H)
+            P = rest @ P @ rest.T + reading**2 * np.outer(gain, gain)
+        x = x + step
+        means[row], covariances[row] = x, P
+    return means, covariances
+
+
+def numpy_ekf(p: Problem, acceleration: float, reading: float) -> Path:
+    """The path of `states`."""
+    means, covariances = states(p, acceleration, reading)
+    return means[:, : p.d], covariances[:, : p.d, : p.d]

@@ -1,4 +1,4 @@
-"""One estimator on one recording: `python run_peer.py ADAPTER FILE`.
+"""One estimator on one recording: `python run_peer.py MODULE:FUNCTION FILE`.
 
 FILE, a pickle of pairs of levels, m/s² per √Hz and m or rad, and of the problem of each tag, is replaced by one of
 seconds and, for each tag, the paths by pair. The processor time is from the last pair, of functions that compile
@@ -26,10 +26,10 @@ def main(adapter: str, file: str) -> None:
     warnings.simplefilter("ignore")
     os.environ |= {"JAX_ENABLE_X64": "1", "XLA_FLAGS": SMALL_LOOPS}
     (*pairs, last), problems = pickle.loads(Path(file).read_bytes())
-    module, seconds, paths = import_module(adapter), 0.0, []
+    module, _, name = adapter.partition(":")
+    function, compiled, seconds, paths = getattr(import_module(module), name), name == "prepared", 0.0, []
     for problem in (Problem(**fields) for fields in problems):
-        compiled = hasattr(module, "prepared")
-        run = module.prepared(problem) if compiled else partial(module.estimate, problem)
+        run = function(problem) if compiled else partial(function, problem)
         found = [run(*pair) for pair in (*pairs, *[last] * compiled)]
         began = time.process_time()
         paths.append([*found[: len(pairs)], run(*last)])

@@ -20,10 +20,9 @@ from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.line.fixes import FIXES, FloorFixes
 from trackwright.trackers.line.motion import HaltingMotion, LineMotion
 from trackwright.trackers.line.rows import path_of
-from trackwright.trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
+from trackwright.trackers.line.tracker import FIXES, FloorFixes, line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import knot_times
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectory

@@ -16,9 +16,8 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import built
 from trackwright.experiments.lab.papers.will_2020._work_stand import BEAM, NUMBERS, RADIUS, recorded, stand
 from trackwright.experiments.text.expectations import listed
-from trackwright.trackers.aoa.beam import Beam, beam_tracker
+from trackwright.trackers.aoa.beam import Beam, DelayAndSum, beam_tracker
 from trackwright.trackers.aoa.beamformer import Grid, delay_and_sum, strongest
-from trackwright.trackers.aoa.das import DelayAndSum
 from trackwright.trackers.aoa.rows import PHASES
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.model.algebra import diagonal

@@ -4,7 +4,7 @@ Seventeen parameters are fitted to ten errors: the table shows that the system c
 The filter runs in its default form and in the paper's, which wraps each of the 28 differences (8)-(17).
 
 The fit: the beam tracker runs on the helix at all stations with every antenna set, with the same noise at every step.
-Minimum-norm Levenberg-Marquardt steps start at layouts whose bounds have the table's ratios (`fit_array_layout`).
+Minimum-norm Levenberg-Marquardt steps start at layouts whose bounds have the table's ratios (`exact_layouts`).
 Tracks on a wrong direction, whose errors are not differentiable, are excluded. The start whose errors, of all tracks,
 are closest to the table on new noise is chosen.
 """
@@ -19,7 +19,6 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.experiments.lab.papers.declared import Printed
 from trackwright.experiments.lab.papers.fitting import Fitted
 from trackwright.experiments.lab.papers.will_2020 import _work_stand as work
-from trackwright.experiments.lab.papers.will_2020 import fit_array_layout as array
 from trackwright.sim.stations import PhaseDraw
 from trackwright.trackers.aoa.beam import beam_tracker
 from trackwright.trackers.core.data.recording import Batch
@@ -122,8 +121,8 @@ def residuals(free: np.ndarray) -> np.ndarray:
     places = free[:16].reshape(8, 2)
     distances = np.linalg.norm(places[:, None] - places, axis=-1)[np.triu_indices(8, 1)]
     # A margin of 0.1 mm, because penalties are never met exactly.
-    short = np.maximum(1000 * array.SMALLEST_SPACING + 0.1 - distances, 0)
-    beyond = np.maximum(np.abs(places) - 1000 * array.HALF_BOX + 0.1, 0)
+    short = np.maximum(1000 * work.SMALLEST_SPACING + 0.1 - distances, 0)
+    beyond = np.maximum(np.abs(places) - 1000 * work.HALF_BOX + 0.1, 0)
     return np.concatenate([logs.ravel(), short, beyond.ravel()])
 
 
@@ -155,7 +154,7 @@ def worst(numbers: dict[str, float], runs: int = FRESH) -> float:
 def fit() -> tuple[str, dict[str, Fitted]]:
     """The best, on new noise, of the fits from several layouts."""
     fits: list[tuple[float, dict[str, float]]] = []
-    for layout in sorted(array.exact_layouts(), key=array.side_lobe)[:STARTS]:
+    for layout in sorted(work.exact_layouts(), key=work.side_lobe)[:STARTS]:
         # Rounded as they are written: positions to 0.01 mm.
         numbers = {name: float(f"{value:.4g}") for name, value in numbers_of(fitted_to(layout)).items()}
         fits.append((worst(numbers), numbers))

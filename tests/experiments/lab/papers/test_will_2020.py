@@ -17,7 +17,6 @@ from trackwright.experiments.lab.papers.will_2020._work_stand import (
     recorded,
     stand,
 )
-from trackwright.experiments.lab.papers.will_2020.fit_array_layout import HALF_BOX
 from trackwright.experiments.monte_carlo import ExpectedResult
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.trackers.aoa.phases import DEFAULT_WAVELENGTH
