@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
-from trackwright.experiments.monte_carlo.program import ChunkProgram, UnfitError, compiled, part_of, piece_of
+from trackwright.experiments.monte_carlo.program import ChunkProgram, UnfitError, compiled, part_of
 from trackwright.experiments.monte_carlo.tracked import TrackedRuns, scored, tracked_runs
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
@@ -97,7 +97,7 @@ def _program_of(study: Study, condition: Condition, name: str) -> ChunkProgram |
 
 
 def _made(study: Study, condition: Condition, name: str) -> ChunkProgram | None:
-    config, ids = study.trackers[name], np.zeros(piece_of(study.chunk), int)
+    config, ids = study.trackers[name], np.zeros(study.chunk, int)
     part, batches = part_of(study.seed, ids), partial(_batches, study, condition, name)
     try:
         return compiled(_folder(study, condition, ids[:1]), batches, config.every, part)

@@ -11,7 +11,6 @@ import numpy as np
 from trackwright.trackers.core.data.seconds import first_not_before
 from trackwright.trackers.core.model.algebra import Scalar, product
 from trackwright.trackers.core.model.inputs import AnyArray
-from trackwright.trackers.parts.start_nearby import AT_ONCE_S, start_rows
 
 MIN_INFORMATION = 0.02
 """Smallest eigenvalue of the information matrix, per ray (0 … ⅔), at which a point is determined."""
@@ -51,7 +50,7 @@ def recent_points(
     height: float | None,
     window: float = 1.0,
 ) -> np.ndarray:
-    """At `start_rows` (T, 4): the point nearest to the rays of the last `window` s, m, and 1 where they determine it.
+    """For every row (T, 4): the point nearest to the rays of the last `window` s, m, and 1 where they determine it.
 
     `times` (T,) s, sorted; `origins` (T, 3) m and `axes` (T, 9): of each row's station; `angles` (T, 2) rad and
     `seen` (T,). With a known `height`, m, one ray can be enough; without, two directions are needed.
@@ -92,9 +91,8 @@ def recent_points_of_each(
         for x in (projection, np.einsum("tij,tj->ti", projection, origins), seen.astype(float))
     )
     points, row_heights = np.zeros((len(times), 4)), np.repeat(heights, lengths)
-    sought = start_rows(starts, times, AT_ONCE_S)
     for known in (True, False):
-        rows = np.flatnonzero((np.isfinite(row_heights) == known) & sought)
+        rows = np.flatnonzero(np.isfinite(row_heights) == known)
         if len(rows):
             parts = (information[rows], sums[rows], counts[rows])
             points[rows] = _nearest_points(*parts, row_heights[rows] if known else None)

@@ -34,10 +34,11 @@ from trackwright.trackers.parts.drifting_biases import (
 )
 from trackwright.trackers.parts.multilaterate import WINDOWS_S
 from trackwright.trackers.parts.ranges import with_delay
-from trackwright.trackers.parts.start_nearby import AbstractNearbyStart, start_rows
+from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Measured, wrapped
+from trackwright.trackers.uwb_imu.difference_rows import start_rows
 from trackwright.trackers.uwb_imu.fusion import REACH
 
 START_STD = 1.5

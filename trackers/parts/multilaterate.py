@@ -15,7 +15,6 @@ import numpy as np
 from trackwright.trackers.core.model.algebra import Scalar, Vector, total
 from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.core.run.chunks import called
-from trackwright.trackers.parts.start_nearby import AT_ONCE_S, start_rows
 
 ITERATIONS = 20
 """Gauss–Newton steps; with weights that change at every step, convergence is linear."""
@@ -162,7 +161,7 @@ def recent_positions(
     seen: np.ndarray,
     heights: np.ndarray,
 ) -> np.ndarray:
-    """At `start_rows` (N, 4): the position from the ranges of the last seconds, m, and 1 where they determine it.
+    """For every row (N, 4): the position from the ranges of the last seconds, m, and 1 where they determine it.
 
     `starts` (n + 1,): the first row of each of n tags, then N. `times` (N,) s, sorted by tag; `anchors` (A, 3) m;
     `numbers` (N,): the anchor of each row; `ranges` (N,) m and `seen` (N,). `heights` (n,) m: of the tags; with a known
@@ -172,9 +171,9 @@ def recent_positions(
     result = np.zeros((len(times), 4))
     tag = np.repeat(np.arange(len(heights)), np.diff(starts))
     row_heights = heights[tag]
-    latest, sought = latest_rows(starts, numbers, seen, len(anchors)), start_rows(starts, times, AT_ONCE_S)
+    latest = latest_rows(starts, numbers, seen, len(anchors))
     for window in WINDOWS_S:
-        rows = np.flatnonzero(sought & (result[:, 3] == 0))
+        rows = np.flatnonzero(result[:, 3] == 0)
         if len(rows) == 0:
             break
         medians = _medians(starts, times, numbers, ranges, seen, window)

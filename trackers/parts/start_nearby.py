@@ -7,7 +7,6 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
 from trackwright.trackers.core.model.covariance import Gaussian
@@ -24,26 +23,6 @@ NEARBY = Input(
     "`range_recording`, `bearing_recording`, `recent_points`",
 )
 """The input with the position of a start."""
-
-
-SPACING_S, SOON_S, LATER_S = 0.2, 5.0, 1.0
-"""Time, s, between positions for a start, how long after the first row, and the time between later ones, for tracks
-that were lost."""
-
-AT_ONCE_S = 1.0
-"""Time after the first row, s, in which every row may start a track of ranges or bearings."""
-
-
-def start_rows(starts: np.ndarray, times: np.ndarray, at_once_s: float = 0.0) -> np.ndarray:
-    """The rows (N,) where a start is sought: the first of every `SPACING_S`, and from `SOON_S` on of every `LATER_S`.
-
-    `starts` (n + 1,): the first row of each of n tags, then N. `times` (N,) s. Also all rows of the first `at_once_s`.
-    """
-    tag = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-    elapsed = times - times[starts[tag]]
-    later = SOON_S / SPACING_S + (elapsed - SOON_S) / LATER_S
-    period = np.floor(np.where(elapsed < SOON_S, elapsed / SPACING_S, later))
-    return np.append(True, (np.diff(period) != 0) | (np.diff(tag) != 0))[: len(times)] | (elapsed < at_once_s)
 
 
 class AbstractNearbyStart(AbstractStart):

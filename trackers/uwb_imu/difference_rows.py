@@ -14,7 +14,6 @@ from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.multilaterate import WINDOWS_S
 from trackwright.trackers.parts.ranges import anchor_positions, lacks_a_plane, room_of_anchors, within_limits
-from trackwright.trackers.parts.start_nearby import start_rows
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
@@ -40,6 +39,10 @@ BEYOND = 1.0
 
 RECENT = 32
 """Differences from which a position for a start is computed, the latest of the last seconds."""
+
+SPACING_S, SOON_S, LATER_S = 0.2, 5.0, 1.0
+"""Time, s, between positions for a start, how long after the first row, and the time between later ones, for tracks
+that were lost."""
 
 BLOCK = 4096
 """Positions computed at once."""
@@ -149,6 +152,15 @@ def recent_hyperbolic_positions(
                 place, determined = hyperbolic_positions(given, heights[tag[part]])
                 result[part] = np.where(determined[:, None], np.column_stack([place, np.ones(len(part))]), 0.0)
     return result
+
+
+def start_rows(starts: Int[np.ndarray, " ends"], times: Float[np.ndarray, " M"]) -> Bool[np.ndarray, " M"]:
+    """The rows where a start is sought: the first of every `SPACING_S`, and from `SOON_S` on of every `LATER_S`."""
+    tag = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    elapsed = times - times[starts[tag]]
+    later = SOON_S / SPACING_S + (elapsed - SOON_S) / LATER_S
+    period = np.floor(np.where(elapsed < SOON_S, elapsed / SPACING_S, later))
+    return np.append(True, (np.diff(period) != 0) | (np.diff(tag) != 0))
 
 
 def lacks_differences(folder: RecordingFolder) -> str | None:

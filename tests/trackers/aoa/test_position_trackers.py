@@ -15,7 +15,6 @@ from trackwright.trackers.aoa.rays import nearest_to_rays, recent_points
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.model.rig import Station
-from trackwright.trackers.parts.start_nearby import AT_ONCE_S, start_rows
 
 RIG = work_station()
 TAGS, ROWS, SIGMA_P = 6, 40, 0.2
@@ -126,7 +125,6 @@ def test_points_are_the_least_squares_of_the_rays_of_the_last_second(height):
     points = recent_points(times, origins, axes, angles, seen, height)
     directions = _directions(angles, turn)
     several = np.array([len(set(turn[(times >= t - 1) & (times <= t) & seen])) > 1 for t in times])
-    several &= start_rows(np.array([0, 120]), times, AT_ONCE_S)
     assert (points[several, 3] == 1).all()
     free = np.eye(3)[: 3 if height is None else 2]
     for k in np.flatnonzero(several)[::7]:
@@ -144,7 +142,7 @@ def test_exact_rays_intersect_at_the_position():
     for height in (None, MIDDLE[2]):
         points = recent_points(times, origins, axes, angles, np.ones(60, bool), height)
         determined = points[:, 3] == 1
-        assert determined[10:][start_rows(np.array([0, 60]), times, AT_ONCE_S)[10:]].all()
+        assert determined[10:].all()
         np.testing.assert_allclose(points[determined, :3], np.broadcast_to(MIDDLE, (determined.sum(), 3)), atol=1e-9)
 
 
