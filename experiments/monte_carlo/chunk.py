@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
-from trackwright.experiments.monte_carlo.program import ChunkProgram, UnfitError, compiled, part_of
+from trackwright.experiments.monte_carlo.program import ChunkProgram, UnfitError, compiled, part_of, piece_of
 from trackwright.experiments.monte_carlo.tracked import TrackedRuns, scored, tracked_runs
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
@@ -41,8 +41,9 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     prepared = Prepared(study, condition, ids)
     results = []
     for name, config in study.trackers.items():
-        program, part = _program_of(study, condition, name), part_of(study.seed, ids)
-        run = partial(_scored, prepared, name, config) if program is None else partial(program.run, part)
+        program = _program_of(study, condition, name)
+        of_recordings = partial(_scored, prepared, name, config)
+        run = of_recordings if program is None else partial(program.run, part_of(study.seed, ids))
         arrays = run()
         if first:
             if "us_per_row" in study.metrics:
@@ -97,7 +98,7 @@ def _program_of(study: Study, condition: Condition, name: str) -> ChunkProgram |
 
 
 def _made(study: Study, condition: Condition, name: str) -> ChunkProgram | None:
-    config, ids = study.trackers[name], np.zeros(study.chunk, int)
+    config, ids = study.trackers[name], np.zeros(piece_of(study.chunk), int)
     part, batches = part_of(study.seed, ids), partial(_batches, study, condition, name)
     try:
         return compiled(_folder(study, condition, ids[:1]), batches, config.every, part)

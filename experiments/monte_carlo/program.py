@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from trackwright.experiments.monte_carlo.scores import arrays_of, cells, sums
+from trackwright.experiments.monte_carlo.scores import Scores, arrays_of, cells, sums
 from trackwright.sim.keys import keys_of, trajectory_keys
 from trackwright.sim.tables import AbstractDraw, SimulatedTables, SimulatedWorld, as_numpy
 from trackwright.trackers.catalogue import spec_of
@@ -42,20 +42,15 @@ from trackwright.trackers.recordings.trajectories import Trajectories
 SEEN = 0.7
 """Share of the times, and of the readings then, that are there in the third of the trajectories that are compared."""
 
+PIECE = 256
+"""Most trajectories that are drawn and tracked together."""
+
 TICKS = 2**30
 """Steps into which the time of a trajectory is divided: float32 has no more than 2²⁴."""
 
 
 class UnfitError(Exception):
     """A tracker's rows that do not follow from a world's arrays number by number."""
-
-
-class Scores(NamedTuple):
-    """The sums and largest errors of n trajectories by name and kind, and the cells of their rows in histograms."""
-
-    sums: dict[str, Array]
-    tops: dict[str, Array]
-    cells: dict[str, Array]
 
 
 class Rows(eqx.Module):
@@ -212,8 +207,16 @@ class ChunkProgram(NamedTuple):
     program: Program
 
     def run(self, part: Part) -> dict[str, np.ndarray]:
-        """The arrays of a chunk, as of `tracked.scored`."""
-        return arrays_of(*self.program(self.model, part))
+        """The arrays of a chunk, as of `tracked.scored`, computed in pieces that fit the processor's cache."""
+        n, size = len(part.ids), piece_of(len(part.ids))
+        ids = part.ids[np.minimum(np.arange(-(-n // size) * size), n - 1)]
+        each = [self.program(self.model, part._replace(ids=some)) for some in ids.reshape(-1, size)]
+        return arrays_of([jax.tree_util.tree_map(np.asarray, scores) for scores in each], n)
+
+
+def piece_of(n: int) -> int:
+    """The trajectories of a piece of a chunk of n."""
+    return -(-n // -(-n // PIECE))
 
 
 def part_of(seed: int, ids: np.ndarray) -> Part:

@@ -5,8 +5,8 @@ In NumPy for estimates of recordings, in jax inside a chunk's program; metrics a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -80,16 +80,26 @@ def cells(size: Float[Any, "*rows"], trajectory: Int[Any, "*rows"], n: int) -> I
     return xp.where(size >= 0, cell, n * BINS)
 
 
-def arrays_of(sums: Mapping[str, Any], tops: Mapping[str, Any], cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The arrays of n trajectories by name: sums, `tops`, largest sizes by kind, and histograms of the rows' `cells`.
+class Scores(NamedTuple):
+    """The sums and largest errors of m trajectories by name and kind, and the `cells` of their rows by kind."""
+
+    sums: Mapping[str, Any]
+    tops: Mapping[str, Any]
+    cells: Mapping[str, Any]
+
+
+def arrays_of(parts: Sequence[Scores], n: int) -> dict[str, np.ndarray]:
+    """The arrays of the first n trajectories of equal parts by name: sums, largest sizes by kind, and histograms.
 
     A histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`.
     """
-    arrays = {f"sum {name}": np.asarray(x, float) for name, x in sums.items()}
-    for kind, top in tops.items():
-        size = len(top) * BINS
-        counts = np.bincount(np.asarray(cells[kind]).ravel(), minlength=size)[:size]
-        arrays[f"largest {kind}"] = np.where(np.asarray(top) < 0, np.nan, top)
-        arrays[f"cells {kind}"] = filled = np.flatnonzero(counts)
-        arrays[f"counts {kind}"] = counts[filled]
+    arrays = {f"sum {name}": np.concatenate([p.sums[name] for p in parts])[:n].astype(float) for name in parts[0].sums}
+    for kind in parts[0].tops:
+        tops = np.concatenate([part.tops[kind] for part in parts])[:n]
+        size = len(parts[0].tops[kind]) * BINS
+        counts = [np.bincount(np.asarray(part.cells[kind]).ravel(), minlength=size)[:size] for part in parts]
+        whole = np.concatenate(counts)[: n * BINS]
+        arrays[f"largest {kind}"] = np.where(tops < 0, np.nan, tops)
+        arrays[f"cells {kind}"] = filled = np.flatnonzero(whole)
+        arrays[f"counts {kind}"] = whole[filled]
     return arrays

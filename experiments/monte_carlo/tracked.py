@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackwright.experiments.monte_carlo.scores import arrays_of, cells, sums
+from trackwright.experiments.monte_carlo.scores import Scores, arrays_of, cells, sums
 from trackwright.trackers.core.data.estimates import Estimates, Status, is_usable
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.columns import TruthStatus
@@ -51,7 +51,8 @@ def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     found, sizes = sums(tracked.estimates, tracked.truth, entries, tracked.known, steps, total)
     rows = {kind: size.reshape(n, -1) for kind, size in sizes.items()}
     tops = {kind: size.max(axis=1) for kind, size in rows.items()}
-    return arrays_of(found, tops, {kind: cells(size, np.arange(n)[:, None], n) for kind, size in rows.items()})
+    of_rows = {kind: cells(size, np.arange(n)[:, None], n) for kind, size in rows.items()}
+    return arrays_of([Scores(found, tops, of_rows)], n)
 
 
 def tracked_runs(

@@ -5,7 +5,7 @@ import pytest
 from tests.experiments.monte_carlo.small_study import SMALL, TOML
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import run_study
-from trackwright.experiments.monte_carlo.scores import arrays_of, cells
+from trackwright.experiments.monte_carlo.scores import Scores, arrays_of, cells
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.experiments.monte_carlo.tracked import TrackedRuns, scored
 from trackwright.experiments.pages.study import to_text
@@ -91,7 +91,7 @@ def _accumulated(sizes, histogram):
     n = np.full(len(sizes), float(sizes.shape[1]))
     found = {"n": n, "n m": n, "sum m": sizes.sum(axis=1), "squares m": (sizes**2).sum(axis=1)}
     of_rows = {"m": cells(sizes, np.arange(len(sizes))[:, None], len(sizes))} if histogram else {}
-    kept = arrays_of(found, {"m": sizes.max(axis=1)} if histogram else {}, of_rows)
+    kept = arrays_of([Scores(found, {"m": sizes.max(axis=1)} if histogram else {}, of_rows)], len(sizes))
     return kept | {"largest m": sizes.max(axis=1)}
 
 
