@@ -42,8 +42,7 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     results = []
     for name, config in study.trackers.items():
         program = _program_of(study, condition, name)
-        of_recordings = partial(_scored, prepared, name, config)
-        run = of_recordings if program is None else partial(program.run, part_of(study.seed, ids))
+        run = partial(program.run, part_of(study.seed, ids)) if program else partial(_scored, prepared, name, config)
         arrays = run()
         if first:
             if "us_per_row" in study.metrics:
