@@ -16,7 +16,7 @@ LINES = {
     "tuning": 4_764,
     "experiments": 10_357,
     "trackwright": 30,
-    "tests": 24_116,
+    "tests": 24_117,
 }
 """The most lines of Python of each folder at the top."""
 

@@ -9,6 +9,7 @@ from trackwright.experiments.lab.papers.fitting import fitted, unsaved
 from trackwright.experiments.lab.papers.will_2020 import computing_cost, figure_8
 from trackwright.experiments.lab.papers.will_2020 import table_1 as of_table_1
 from trackwright.experiments.lab.papers.will_2020._work_stand import (
+    HALF_BOX,
     NUMBERS,
     PRINTED_DEG,
     RADIUS,
