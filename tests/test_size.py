@@ -20,7 +20,7 @@ LINES = {
 }
 """The most lines of Python of each folder at the top."""
 
-PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 40_304, 252, 37_250, 13
+PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 40_304, 252, 37_270, 13
 
 
 def _files(*suffixes: str) -> list[Path]:
