@@ -316,7 +316,7 @@ def _understood(
     probes = [_probe(draw, name, number, batches) for number in range(3)]
     tracker = probes[0].batch.tracker.for_positions()
     if getattr(getattr(tracker, "filter", None), "has_particle_axis", False):
-        raise UnfitError("the filter draws random numbers")
+        raise UnfitError("the filter has particles or cells")
     latency = getattr(tracker, "latency", None)
     if isinstance(latency, jax.core.Tracer) or latency not in (None, 0.0):
         raise UnfitError("estimates are late")
