@@ -173,6 +173,8 @@ def _bounds(batches: list[TrackerBatch]) -> np.ndarray:
         return np.full(2, np.nan)
     if type(tracker.motion) is not ConstantVelocity or not isinstance(tracker.filter, ExtendedKalman):
         return np.full(2, np.nan)
+    if len(same[0].times) < 2:
+        return np.full(2, np.nan)
     batch, d = stack(same), tracker.motion.dimensions
     positions = np.stack([one.truth["position"][0] for one in same], axis=-1)
     speeds = np.gradient(positions, axis=0) / np.gradient(same[0].times)[:, None, None]

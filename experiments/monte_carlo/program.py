@@ -40,13 +40,16 @@ from trackwright.trackers.recordings.tracks import TrackerBatch
 from trackwright.trackers.recordings.trajectories import Trajectories
 
 SEEN = 0.7
-"""Share of the times, and of the readings then, that are there in the third of the trajectories that are compared."""
+"""Share of the readings that are there in the third of the trajectories that are compared."""
 
 PIECE = 256
 """Most trajectories that are drawn and tracked together."""
 
 TICKS = 2**30
 """Steps into which the time of a trajectory is divided: float32 has no more than 2²⁴."""
+
+
+Batches = Callable[[RecordingFolder], list[TrackerBatch]]
 
 
 class UnfitError(Exception):
@@ -226,12 +229,7 @@ def part_of(seed: int, ids: np.ndarray) -> Part:
     return Part(key, ids.astype(np.uint32))
 
 
-def compiled(
-    folder: RecordingFolder,
-    batches: Callable[[RecordingFolder], list[TrackerBatch]],
-    every: float | None,
-    part: Part,
-) -> ChunkProgram:
+def compiled(folder: RecordingFolder, batches: Batches, every: float | None, part: Part) -> ChunkProgram:
     """The program of a tracker for the world of a simulated folder; raises UnfitError where it has none.
 
     `batches`: of a folder, with the tracker's settings. `every`: s, an interval in which the last row alone is scored.
@@ -239,8 +237,7 @@ def compiled(
     draw = folder.tables.draw if isinstance(folder.tables, SimulatedTables) else None
     if draw is None or not draw.measured:
         raise UnfitError("the world has no draw")
-    first = part.ids[:1].astype(int)
-    drawn = draw.world(draw(keys_of(part.key, part.ids[:1])), first).folder(folder.name)
+    drawn = draw.world(draw(keys_of(part.key, part.ids[:1])), part.ids[:1].astype(int)).folder(folder.name)
     alike = [name in folder.tables and table.equals(folder.tables[name]) for name, table in drawn.tables.items()]
     if not all(alike) or pickle.dumps((drawn.rig, None)) != pickle.dumps((folder.rig, folder.calibration)):
         raise UnfitError("the folder is not as it was drawn")
@@ -295,8 +292,7 @@ _programs: dict[bytes, Program] = {}
 
 def _program(model: Any, part: Part) -> Program:
     """The program of a model of these shapes: conditions that differ in numbers alone share it."""
-    program = kept_program(chunk_scores, model, part, OPTIONS)
-    if program is not None:
+    if (program := kept_program(chunk_scores, model, part, OPTIONS)) is not None:
         return program
     leaves, structure = jax.tree_util.tree_flatten((model, part))
     kinds = [(np.shape(x), str(x.dtype)) if eqx.is_array(x) else x for x in leaves]
@@ -309,9 +305,7 @@ def _program(model: Any, part: Part) -> Program:
     return _programs[key]
 
 
-def _understood(
-    draw: AbstractDraw, name: str, batches: Callable[[RecordingFolder], list[TrackerBatch]], every: float | None
-) -> tuple[AbstractTracker, Rows]:
+def _understood(draw: AbstractDraw, name: str, batches: Batches, every: float | None) -> tuple[AbstractTracker, Rows]:
     """The tracker of a world's folders, and how its rows follow from the draw; raises UnfitError."""
     probes = [_probe(draw, name, number, batches) for number in range(3)]
     tracker = probes[0].batch.tracker.for_positions()
@@ -331,7 +325,7 @@ class _Probe(NamedTuple):
     trajectories: Trajectories
 
 
-def _probe(draw: AbstractDraw, name: str, number: int, batches: Callable[[RecordingFolder], list[TrackerBatch]]) -> Any:
+def _probe(draw: AbstractDraw, name: str, number: int, batches: Batches) -> _Probe:
     """The probe of one trajectory; of the third one some readings are not there."""
     with jax.ensure_compile_time_eval():
         arrays = draw(trajectory_keys(0, [number]))
@@ -339,9 +333,13 @@ def _probe(draw: AbstractDraw, name: str, number: int, batches: Callable[[Record
     if number == 2:
         draws = np.random.default_rng(0)
         for mask in draw.measured.values():
-            by_time = draws.random((*arrays[mask].shape[:2], *[1] * (arrays[mask].ndim - 2)))
-            arrays[mask] = (draws.random(arrays[mask].shape) < SEEN) & (by_time < SEEN)
-    found = batches(draw.world(dict(arrays), np.array([number])).folder(name))
+            # Every third time has none, so that it shows whether a row without a reading is there.
+            by_time = np.arange(arrays[mask].shape[1]).reshape(-1, *[1] * (arrays[mask].ndim - 2)) % 3 != 1
+            arrays[mask] = (draws.random(arrays[mask].shape) < SEEN) & by_time
+    try:
+        found = batches(draw.world(dict(arrays), np.array([number])).folder(name))
+    except UnusableInput as error:
+        raise UnfitError(str(error)) from error
     if len(found) != 1:
         raise UnfitError("the world has trajectories of several trackers")
     trajectories = Trajectories.of(found[0].trajectories)
@@ -354,8 +352,8 @@ def _rows(draw: AbstractDraw, probes: list[_Probe], every: float | None) -> Rows
     """How the rows follow from the arrays, by two probes; raises UnfitError."""
     first, second = (probe.trajectories.columns for probe in probes[:2])
     S, lengths = len(first), np.diff(first.starts)
-    if len(second) != S or len({*lengths, *np.diff(second.starts)}) != 1:
-        raise UnfitError("trajectories have different numbers of rows")
+    if len(second) != S or len({*lengths, *np.diff(second.starts)}) != 1 or len(draw.times) < 2:
+        raise UnfitError("trajectories have different numbers of rows, or a single one")
     numbers = [np.concatenate([p.arrays[name].ravel().astype(float) for name in draw.measured]) for p in probes[:2]]
 
     def sequences(x: np.ndarray) -> np.ndarray:

@@ -17,9 +17,9 @@ from trackwright.trackers.core.run.chunks import as_dtype
 
 N = 6
 LINE, STATION = {"rate_hz": 1.0}, {"rows": 30, "drop_outs": 0.2, "outliers": 0.05, "gauss_markov": 0.1}
-AGV = {"rows": 60, "mirror": 0.1, "latency": 0.2}
+AGV, FEW = {"rows": 60, "mirror": 0.1, "latency": 0.2}, {"rows": 3, "drop_outs": 0.95}
 PAIRS = [("line", "fix-kf", LINE), ("line", "fix-kf", {**LINE, "situation": "speeds"}), ("station", "beam", STATION),
-         ("station", "direct", {**STATION, "lost_station": "2", "masked_antenna": ("1", 3)}), ("station", "das", STATION),
+         ("station", "direct", {**STATION, "lost_station": "2", "masked_antenna": ("1", 3)}), ("station", "das", FEW),
          ("station", "cascade", STATION), ("agv", "imm", AGV), ("agv", "mhk", AGV), ("agv", "median", AGV)]  # fmt: skip
 
 
