@@ -35,7 +35,12 @@ def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
     whole = numbers.ndim == 1 and np.issubdtype(numbers.dtype, np.integer)
     if not whole or not np.all((numbers >= 0) & (numbers < 2**32)):
         raise ValueError(f"trajectory ids are a list of whole numbers from 0 to 2**32 - 1, found {numbers!r}")
-    return keys_of(jax.random.key_data(jax.random.key(seed, impl=_GENERATOR)), numbers.astype(np.uint32))
+    return keys_of(seed_key(seed), numbers.astype(np.uint32))
+
+
+def seed_key(seed: int) -> UInt32[Any, " 2"]:
+    """The data of the seed's key."""
+    return jax.random.key_data(jax.random.key(seed, impl=_GENERATOR))
 
 
 def keys_of(seed_key: UInt32[Any, " 2"], ids: UInt32[Any, " n"]) -> Keys:

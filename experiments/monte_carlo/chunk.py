@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import fnmatch
 import time
-from dataclasses import dataclass
-from functools import cached_property, partial
+from collections.abc import Callable
+from functools import cache, partial
 from threading import Lock
 from typing import Any
 
@@ -38,11 +38,13 @@ BOUNDED = 256
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
     """The sums, histograms and measures of these trajectories by tracker; of the `first` chunk bounds and times, too.
     Raises UnusableInput where world, trackers and values do not fit each other."""
-    prepared = Prepared(study, condition, ids)
-    results = []
+    # Simulated where the first tracker asks for recordings, for all of them.
+    folder, results = cache(partial(_folder, study, condition, ids)), []
     for name, config in study.trackers.items():
         program = _program_of(study, condition, name)
-        run = partial(program.run, part_of(study.seed, ids)) if program else partial(_scored, prepared, name, config)
+        batches = cache(lambda name=name: _batches(study, condition, name, folder()))
+        of_recordings = partial(_scored, study, config, batches, ids)
+        run = partial(program.run, part_of(study.seed, ids)) if program else of_recordings
         arrays = run()
         if first:
             if "us_per_row" in study.metrics:
@@ -52,29 +54,16 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
                 seconds = time.perf_counter() - began
                 arrays["us_per_row"] = np.array(1e6 * seconds / max(np.sum(arrays["sum n_rows"]), 1))
             if any(metric.startswith("bound") for metric in study.metrics):
-                arrays["bounds"] = _bounds(prepared.batches[name])
+                arrays["bounds"] = _bounds(batches())
         results.append(arrays)
     return results
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """The batches of every tracker of the trajectories with these ids, simulated where a tracker asks for them."""
-
-    study: Study
-    condition: Condition
-    ids: np.ndarray
-
-    @cached_property
-    def batches(self) -> dict[str, list[TrackerBatch]]:
-        """By tracker."""
-        return _prepared(self.study, self.condition, self.ids)
-
-
-def _scored(prepared: Prepared, name: str, config: TrackerConfig) -> dict[str, np.ndarray]:
+def _scored(
+    study: Study, config: TrackerConfig, batches: Callable[[], list[TrackerBatch]], ids: np.ndarray
+) -> dict[str, np.ndarray]:
     """The sums, histograms and measures of a tracker's estimates of recordings."""
-    study, ids = prepared.study, prepared.ids
-    runs = _track(prepared.batches[name], ids, study, config)
+    runs = _track(batches(), ids, study, config)
     arrays = scored(runs)
     for measure, function in study.measures.items():
         values = arrays[f"measure {measure}"] = np.asarray(function(runs), float)
@@ -108,20 +97,14 @@ def _made(study: Study, condition: Condition, name: str) -> ChunkProgram | None:
 def require_fitting_parts(study: Study) -> None:
     """Refuse a study whose worlds, trackers and values do not fit, by one trajectory of every world."""
     for world in study.worlds:
-        _prepared(study, next(c for c in study.conditions if c.world == world), np.zeros(1, int))
-
-
-def _prepared(study: Study, condition: Condition, ids: np.ndarray) -> dict[str, list[TrackerBatch]]:
-    """The batches of every tracker of the simulated trajectories with these ids, with the values of its own and of the
-    grid. Raises UnusableInput for a name in the grid that matches no tunable of any tracker."""
-    folder = _folder(study, condition, ids)
-    prepared = {name: _batches(study, condition, name, folder) for name in study.trackers}
-    known = {tunable for batches in prepared.values() for batch in batches for tunable in tunables(batch.tracker)}
-    for pattern in (k for k in condition.numbers if not k.startswith(WORLD)):
-        if not fnmatch.filter(known, pattern):
-            fix = f"expected 'world.' and a parameter of the worlds, or one of {', '.join(sorted(known))}"
-            raise UnusableInput(f"study '{study.name}': grid '{pattern}': no tracker has such a tunable; {fix}")
-    return prepared
+        condition = next(c for c in study.conditions if c.world == world)
+        folder = _folder(study, condition, np.zeros(1, int))
+        every = [batch for name in study.trackers for batch in _batches(study, condition, name, folder)]
+        known = {tunable for batch in every for tunable in tunables(batch.tracker)}
+        for pattern in (k for k in condition.numbers if not k.startswith(WORLD)):
+            if not fnmatch.filter(known, pattern):
+                fix = f"expected 'world.' and a parameter of the worlds, or one of {', '.join(sorted(known))}"
+                raise UnusableInput(f"study '{study.name}': grid '{pattern}': no tracker has such a tunable; {fix}")
 
 
 def _folder(study: Study, condition: Condition, ids: np.ndarray) -> RecordingFolder:

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from trackwright.experiments.monte_carlo.scores import Scores, arrays_of, cells, sums
-from trackwright.sim.keys import keys_of, trajectory_keys
+from trackwright.sim.keys import keys_of, seed_key, trajectory_keys
 from trackwright.sim.tables import AbstractDraw, SimulatedTables, SimulatedWorld, as_numpy
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.data.estimates import Status, is_usable
@@ -34,7 +34,7 @@ from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.programs.traced_programs import Program, compiled_program, kept_program
+from trackwright.trackers.programs.traced_programs import Program, compiled_program, kept_program, types_of
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import TrackerBatch
 from trackwright.trackers.recordings.trajectories import Trajectories
@@ -225,8 +225,7 @@ def piece_of(n: int) -> int:
 def part_of(seed: int, ids: np.ndarray) -> Part:
     """The part of these trajectories."""
     with jax.ensure_compile_time_eval():
-        key = np.asarray(jax.random.key_data(jax.random.key(seed, impl="threefry2x32")))
-    return Part(key, ids.astype(np.uint32))
+        return Part(np.asarray(seed_key(seed)), ids.astype(np.uint32))
 
 
 def compiled(folder: RecordingFolder, batches: Batches, every: float | None, part: Part) -> ChunkProgram:
@@ -294,10 +293,8 @@ def _program(model: Any, part: Part) -> Program:
     """The program of a model of these shapes: conditions that differ in numbers alone share it."""
     if (program := kept_program(chunk_scores, model, part, OPTIONS)) is not None:
         return program
-    leaves, structure = jax.tree_util.tree_flatten((model, part))
-    kinds = [(np.shape(x), str(x.dtype)) if eqx.is_array(x) else x for x in leaves]
     try:
-        key = pickle.dumps((jax.tree_util.tree_unflatten(structure, kinds), jax.config.jax_enable_x64))  # type: ignore[attr-defined]
+        key = pickle.dumps((types_of((model, part)), jax.config.jax_enable_x64))  # type: ignore[attr-defined]
     except (pickle.PicklingError, TypeError, AttributeError):
         return compiled_program(chunk_scores, model, part, OPTIONS)
     if key not in _programs:

@@ -68,7 +68,7 @@ class TracedPrograms:
         `options`: of the compiler, a function of the arguments.
         """
         leaves, structure = jax.tree_util.tree_flatten((model, part))
-        key = self._key(function, leaves, structure)
+        key = self._key(function, (model, part))
         if key is None:
             return None
         if key not in self.loaded:
@@ -82,17 +82,16 @@ class TracedPrograms:
             self.loaded[key] = _called(*program)
         return self.loaded[key]
 
-    def _key(self, function: Any, leaves: list[Any], structure: Any) -> bytes | None:
+    def _key(self, function: Any, arguments: Any) -> bytes | None:
         if jax.local_device_count() > 1 or jax.default_backend() != "cpu":
             return None
         settings = trace_settings()
         if settings is None or self._users_files():
             return None
-        kinds = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) if eqx.is_array(x) else x for x in leaves]
         made_of = io.BytesIO()
         try:
             # The objects, not jax's structure of them: that compares some static fields by identity.
-            _KeyPickler(made_of, protocol=5).dump((function, jax.tree_util.tree_unflatten(structure, kinds)))
+            _KeyPickler(made_of, protocol=5).dump((function, types_of(arguments)))
         except (pickle.PicklingError, TypeError, AttributeError):
             return None
         return b"".join((self.base, _text(settings).encode(), made_of.getvalue()))
@@ -129,6 +128,13 @@ class TracedPrograms:
         except (pickle.PicklingError, TypeError, AttributeError, ValueError):
             return
         self.store.put(name, content)
+
+
+def types_of(arguments: Any) -> Any:
+    """The arguments of a program with each array reduced to its shape and type."""
+    return jax.tree_util.tree_map(
+        lambda x: (x.shape, str(x.dtype), getattr(x, "weak_type", False)) if eqx.is_array(x) else x, arguments
+    )
 
 
 def compiled_program(

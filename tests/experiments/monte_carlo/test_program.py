@@ -1,6 +1,7 @@
 """The program of a chunk beside the same trajectories by way of recordings, and worlds drawn in a program."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import numpy as np
@@ -33,8 +34,8 @@ def _both(study):
     ids = np.arange(N)
     program = chunk._program_of(study, condition, name)
     assert program is not None
-    prepared = chunk.Prepared(study, condition, ids)
-    return program.run(part_of(study.seed, ids)), chunk._scored(prepared, name, study.trackers[name])
+    batches = partial(chunk._batches, study, condition, name, chunk._folder(study, condition, ids))
+    return program.run(part_of(study.seed, ids)), chunk._scored(study, study.trackers[name], batches, ids)
 
 
 @pytest.mark.parametrize(("world", "tracker", "numbers"), PAIRS)
