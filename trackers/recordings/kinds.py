@@ -25,9 +25,8 @@ from trackwright.trackers.recordings.columns import QUATERNION, TagRows, stable_
 
 MANY_REPEATS = 0.2  # share of readings that equal the one before from which a source may repeat them
 MOST_ROWS = 100_000  # of a table whose streams are looked at
-UNITS = {"m": "m", "rad": "rad", "mps": "m/s", "mps2": "m/s²", "radps": "rad/s"}  # by the ending of a column
-
-_NAME = re.compile(r"[a-z][a-z0-9_]*_(m|rad|mps2?|radps)")
+UNITS = {"m": "m", "rad": "rad", "mps": "m/s", "mps2": "m/s²", "radps": "rad/s", "dbm": "dBm", "hz": "Hz", "pa": "Pa"}
+_NAME = re.compile(rf"[a-z][a-z0-9_]*_({'|'.join(UNITS)})")
 
 
 class Sensors(NamedTuple):
@@ -111,7 +110,8 @@ class Kind:
         names = [column.name.replace("{n}", "1") for column in self.columns]
         others = [name for name in self.sensors if not name.startswith(("anchor", "station"))]
         wrong = [f"name {self.name!r}, expected lower case"] * (not re.fullmatch(r"[a-z][a-z0-9_]*", self.name))
-        wrong += [f"column {name!r}, expected a unit at its end" for name in names if not _NAME.fullmatch(name)]
+        unit = f"expected a unit at its end ({', '.join(UNITS)})"
+        wrong += [f"column {name!r}, {unit}" for name in names if not _NAME.fullmatch(name)]
         wrong += [f"sensor {name!r}, expected anchor … or station" for name in others]
         if wrong:
             raise UnusableInput(f"kind {self.name}: {wrong[0]}")
