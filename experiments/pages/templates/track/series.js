@@ -28,11 +28,11 @@ function seriesFigure(recording, number) {
   const beside = besideJump(rows.map((row) => recording.start + columns.t[row]));
   const text = recording.timeLabel + (beside ? `, a jump of ${Number(beside.jump.toPrecision(3))} s left out` : "");
   layout.xaxis = { title: { text }, range: beside?.range, anchor: `y${panels.length > 1 ? panels.length : ""}`, zeroline: false };
-  // The legend has several lines on a phone.
-  const narrow = series.clientWidth < 500 && {
-    margin: { l: 56, r: 12, t: 70, b: 44 }, legend: { orientation: "h", x: 0, y: 1, yref: "container", yanchor: "top" },
-  };
-  return { traces, layout: layoutOf({ ...layout, shapes, ...narrow }) };
+  // Its marks are small on the panels, and it has several lines on a phone.
+  const legend = { orientation: "h", x: 0, itemsizing: "constant" }, placed = series.clientWidth < 500
+    ? { margin: { l: 56, r: 12, t: 70, b: 44 }, legend: { ...legend, y: 1, yref: "container", yanchor: "top" } }
+    : { legend: { ...legend, y: 1.01, yanchor: "bottom" } };
+  return { traces, layout: layoutOf({ ...layout, shapes, ...placed }) };
 }
 
 /** A line with its band of 3 σ about it or, of an error, about zero. */
@@ -90,7 +90,11 @@ function residualPanel(recording, { name, unit, sources, points: { t, tag, sourc
              name: sources.length > 1 ? escaped(sourceName) : undefined, marker: { size: 3.5, color: lineColour(k), opacity: 0.7 },
              hovertemplate: `${escaped(sourceName)}: %{y:.3f} ${unit}<extra></extra>` };
   });
-  return { lines: lines.filter((line) => line.x.length), title: `residual, ${name} (${unit})` };
+  // A few wild readings do not flatten the others.
+  const sizes = lines.flatMap((line) => line.y.map(Math.abs)), half = 3 * quantile(sizes, 0.95), beyond = sizes.filter((size) => size > half).length;
+  const wild = beyond && quantile(sizes, 1) > 2 * half;
+  return { lines: lines.filter((line) => line.x.length), range: wild ? [-half, half] : undefined,
+           title: `residual, ${name} (${unit})${wild ? `<br>${beyond} beyond` : ""}` };
 }
 
 /** Of times with a jump that is longer than nine times all others together: the jump and the side with more of them. */
