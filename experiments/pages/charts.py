@@ -194,8 +194,8 @@ def error_cdf(scored: Runs) -> Chart:
         parts.append(Line(unit.factor * np.percentile(values, shares), shares, label, LINES[k % len(LINES)]))
     what = "angle to the truth" if is_bearing(first) else "error" if len(errors) > 1 else "horizontal error"
     ends: dict[str, Any] = {"xlim": (0, unit.factor * end), "ylim": (0, 101), "yticks": LEVELS, "width": 6.4}
-    label = "estimates with at most this error (%)"
-    return Chart("error-cdf", "Distribution of errors", f"{what} ({unit.name})", label, parts, **ends)
+    labels = f"{what} ({unit.name})", "share of estimates (%)"
+    return Chart("error-cdf", "Distribution of errors", *labels, parts, **ends)
 
 
 def coverage(scored: Runs) -> Chart:
