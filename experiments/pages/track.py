@@ -69,7 +69,7 @@ def run_data(
     if evaluation is not None:
         size = "rmse_direction_rad" if evaluation.bearing else "rmse_m"
         worst = sorted(evaluation.tracks, key=lambda metrics: -(metrics.get(size) or 0.0))[:MOST_LISTED]
-        listed = [*evaluation.recordings, *worst]
+        listed = [*evaluation.recordings, *worst * (len(evaluation.tracks) > len(evaluation.recordings))]
     for recording in shown:
         share = len(recording.times) / total
         limits = (MOST_ROWS, 200), (MOST_TRACKS, 3), (MOST_POINTS, 100)
@@ -77,7 +77,8 @@ def run_data(
         recordings.append(recording_data(recording, *most))
     columns = [metric.name for metric in METRICS.values() if metric.page]
     metrics = [
-        {key: metrics.get(key) for key in ("recording", "tag", "station")}
+        # Errors in 3-D are shown where NEES says that the height is estimated.
+        {key: metrics.get(key) for key in ("recording", "tag", "station", "nees_3d_ratio")}
         | {key: x for key in columns if (x := shown_metric(metrics, key)) is not None and math.isfinite(x)}
         for metrics in listed
     ]
