@@ -165,7 +165,7 @@ def write_calibration_report(out: Path, calibration: Calibration, report: Report
     recordings, shown = calibration.recordings, [one for one in report.sources if np.isfinite(one.errors(None)).any()]
     charts = [errors_chart(one, calibration) for one in shown[:SHOWN]]
     summary = f"Systematic errors of {listed([*report.tables])}, from recordings with truth: {listed(recordings, 12)}."
-    sections = [*report.tables.values(), Section(f"Errors of the first {len(charts)}", parts=[charts])]
+    sections = [*report.tables.values(), Section(f"Errors, {len(charts)} of {len(shown)}", parts=[charts])]
     title = f"Calibration on {counted(len(recordings), 'recording')}"
     use = f"trackwright track RECORDING --calibration {out} --out out/tracks"
     text = report_page("calibration", title, [summary, report.note], sections, [use, typed(command)])
