@@ -102,7 +102,7 @@ def _shown(output: Mapping[str, Any]) -> str:
     data = output.get("data", {})
     if "text/html" in data:
         # A blank line would end the HTML, and an indented one begin code.
-        return re.sub(r"\n\s*", "\n", f"<div>{data['text/html']}</div>")
+        return re.sub(r"\n\s*", "\n", f'<div style="overflow-x: auto">{data["text/html"]}</div>')
     if "image/png" in data:
         return f'<img alt="the chart of the code above" src="data:image/png;base64,{data["image/png"].strip()}">'
     return f"```text\n{output.get('text') or data.get('text/plain', '')}\n```"
