@@ -77,8 +77,7 @@ def run_data(
         recordings.append(recording_data(recording, *most))
     columns = [metric.name for metric in METRICS.values() if metric.page]
     metrics = [
-        # Errors in 3-D are shown where NEES says that the height is estimated.
-        {key: metrics.get(key) for key in ("recording", "tag", "station", "nees_3d_ratio")}
+        {key: metrics.get(key) for key in ("recording", "tag", "station", "nees_3d_ratio")}  # null: no 3-D
         | {key: x for key in columns if (x := shown_metric(metrics, key)) is not None and math.isfinite(x)}
         for metrics in listed
     ]

@@ -28,11 +28,20 @@ function seriesFigure(recording, number) {
   const beside = besideJump(rows.map((row) => recording.start + columns.t[row]));
   const text = recording.timeLabel + (beside ? `, a jump of ${Number(beside.jump.toPrecision(3))} s left out` : "");
   layout.xaxis = { title: { text }, range: beside?.range, anchor: `y${panels.length > 1 ? panels.length : ""}`, zeroline: false };
-  // Its marks are small on the panels, and it has several lines on a phone.
-  const legend = { orientation: "h", x: 0, itemsizing: "constant" }, placed = series.clientWidth < 500
+  const legend = { orientation: "h", x: 0, itemsizing: "constant" }, placed = series.clientWidth < 500  // several lines on a phone
     ? { margin: { l: 56, r: 12, t: 70, b: 44 }, legend: { ...legend, y: 1, yref: "container", yanchor: "top" } }
     : { legend: { ...legend, y: 1.01, yanchor: "bottom" } };
   return { traces, layout: layoutOf({ ...layout, shapes, ...placed }) };
+}
+
+/** What two lines enclose, run by run: between lines with gaps plotly.js fills the gaps, too. */
+function enclosed(x, low, high) {
+  const ends = [-1, ...[...x.keys()].filter((k) => x[k] === null), x.length];
+  const around = (there, back) => ends.slice(1).flatMap((end, k) => {
+    const run = [ends[k] + 1, end];
+    return [...there.slice(...run), ...back.slice(...run).reverse(), null];
+  });
+  return { x: around(x, x), y: around(high, low) };
 }
 
 /** A line with its band of 3 σ about it or, of an error, about zero. */
@@ -41,10 +50,11 @@ function withBand(recording, rows, { unit, sigma }, column, shift, name, on) {
   const apart = (row, before) => angles && Math.abs(column[row] - column[before]) > 180;
   const kept = thinned(rows, column, LINE_POINTS), drawn = (of) => broken(kept, t, of, apart);
   const x = drawn((row) => start + t[row]), hover = `%{y:.${digitsOf(unit)}f} ${unit}`, middle = (row) => name === "error" ? 0 : shift + column[row];
-  const edge = (sign) => ({ ...on, x, y: drawn((row) => middle(row) + sign * 3 * sigmas[row]), line: { width: 0 } });
+  const edge = (sign) => drawn((row) => middle(row) + sign * 3 * sigmas[row]), high = edge(1), named = { ...on, name: "reported ± 3 σ", line: { width: 0 } };
+  const wide = drawn((row) => Number.isFinite(sigmas[row]) ? start + t[row] : null);
   const band = kept.some((row) => Number.isFinite(sigmas[row])) ? [
-    { ...edge(-1), hoverinfo: "skip" },
-    { ...edge(1), fill: "tonexty", fillcolor: "rgba(86,180,233,.28)", name: "reported ± 3 σ", hovertemplate: hover },
+    { ...named, ...enclosed(wide, edge(-1), high), fill: "toself", fillcolor: "rgba(86,180,233,.28)", hoverinfo: "skip" },
+    { ...named, x, y: high, hovertemplate: hover },
   ] : [];
   return [...band, { ...on, x, y: drawn((row) => shift + column[row]), line: { color: themed("blue"), width: 1.2 }, name, hovertemplate: hover }];
 }
@@ -91,10 +101,10 @@ function residualPanel(recording, { name, unit, sources, points: { t, tag, sourc
              hovertemplate: `${escaped(sourceName)}: %{y:.3f} ${unit}<extra></extra>` };
   });
   // A few wild readings do not flatten the others.
-  const sizes = lines.flatMap((line) => line.y.map(Math.abs)), half = 3 * quantile(sizes, 0.95), beyond = sizes.filter((size) => size > half).length;
-  const wild = beyond && quantile(sizes, 1) > 2 * half;
-  return { lines: lines.filter((line) => line.x.length), range: wild ? [-half, half] : undefined,
-           title: `residual, ${name} (${unit})${wild ? `<br>${beyond} beyond` : ""}` };
+  const sizes = lines.flatMap((line) => line.y.map(Math.abs)), half = 3 * quantile(sizes, 0.95);
+  const beyond = quantile(sizes, 1) > 2 * half ? sizes.filter((size) => size > half).length : 0;
+  return { lines: lines.filter((line) => line.x.length), range: beyond ? [-half, half] : undefined,
+           title: `residual, ${name} (${unit})${beyond ? `<br>${beyond} beyond` : ""}` };
 }
 
 /** Of times with a jump that is longer than nine times all others together: the jump and the side with more of them. */
