@@ -147,7 +147,7 @@ def test_the_smoother_conditions_on_all_rows():
 
 def test_a_fit_finds_the_nile_s_levels():
     tracker = tw.linear([[1.0]], [[1.0]], [[1000.0]], [[10000.0]], x0=[0.0], P0=[[1e7]])
-    result = tw.fit(tracker, [tw.series(NILE)], tw.NegativeLogLikelihood(), ("motion.Q.*", "sensors.*.R.*"))
+    result = tw.fit(tracker, [tw.series(NILE)], "nll", ("motion.Q.*", "sensors.*.R.*"))
     # Durbin and Koopman 2012, section 2.10.3: variances 1469.1 and 15098.5, log-likelihood −641.585.
     assert np.sum(result.tracker.run(tw.series(NILE)).log_likelihood) > -641.587
     np.testing.assert_allclose(result.values["motion.Q.sigma"] ** 2, 1469.1, rtol=0.03)

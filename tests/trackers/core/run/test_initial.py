@@ -17,23 +17,25 @@ SIGMA_A, SIGMA = 0.7, 0.2
 
 
 def _tracker(filter=None):
-    start = tw.fix_tracker(planar=True).start
-    sensors = {FIXES: tw.FixSensor(SIGMA, SIGMA)}
-    return tw.Tracker(tw.ConstantVelocity(SIGMA_A, 2), sensors, start, filter or tw.ExtendedKalman(), NEVER_LOST)
+    start = tw.baselines.fix_tracker(planar=True).start
+    sensors = {FIXES: tw.parts.FixSensor(SIGMA, SIGMA)}
+    return tw.Tracker(
+        tw.parts.ConstantVelocity(SIGMA_A, 2), sensors, start, filter or tw.parts.ExtendedKalman(), NEVER_LOST
+    )
 
 
 def _recording(rows=20, seed=0, id=None, begin=0.0):
     rng = np.random.default_rng(seed)
     times = begin + np.cumsum(rng.uniform(0.05, 0.3, rows))
     position = np.stack([0.5 * times, np.sin(times), np.ones(rows)], axis=1) + SIGMA * rng.normal(size=(rows, 3))
-    recording = tw.fix_recording(times, position, height=1.0)
+    recording = tw.baselines.fix_recording(times, position, height=1.0)
     return dataclasses.replace(recording, id=id)
 
 
 def _prior(mean=(0.0, 0.0, 0.4, 0.8), spread=1.0):
     cov = spread * (np.eye(4) + 0.1)
     upper = tuple(cov[i, j] for i in range(4) for j in range(i, 4))
-    return tw.Gaussian(tw.Kinematic(tw.Vector(*mean[:2]), tw.Vector(*mean[2:])), upper), np.array(mean), cov
+    return tw.Gaussian(tw.parts.Kinematic(tw.Vector(*mean[:2]), tw.Vector(*mean[2:])), upper), np.array(mean), cov
 
 
 def test_a_run_from_a_given_belief_is_the_textbook_filter_from_that_prior():
@@ -109,7 +111,7 @@ def test_a_run_inside_a_transformation_names_the_pure_function():
     recording = _recording(5)
 
     def error(sigma):
-        tracker = dataclasses.replace(_tracker(), motion=tw.ConstantVelocity(Constant(sigma), 2))
+        tracker = dataclasses.replace(_tracker(), motion=tw.parts.ConstantVelocity(Constant(sigma), 2))
         return tracker.run(recording).mean.position[0][-1]
 
     with pytest.raises(TypeError, match=r"traced values.*trackwright.filter_batch"):
