@@ -183,7 +183,7 @@ __all__ = [
     "FitOptions",
     "FitResult",
     "sweep",
-    # systematic errors of stations and anchors, positions of anchors without truth, tuned files
+    # systematic errors of stations and anchors, anchors without truth, tuned files
     "calibrate",
     "survey",
     "Survey",
