@@ -1,5 +1,7 @@
 """Recordings from arrays: what is masked, which heights they carry, and reported noise as variances."""
 
+import dataclasses
+
 import jax
 import jaxtyping
 import numpy as np
@@ -7,6 +9,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
+from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.ranges import RANGES
 
@@ -66,6 +69,33 @@ def test_a_table_of_ranges_becomes_a_row_for_each_that_is_there():
     np.testing.assert_array_equal(recording.inputs["anchors"], anchors[[0, 1, 1, 2, 0, 2]])
     np.testing.assert_array_equal(recording.inputs["height"], 1.0)
     np.testing.assert_array_equal(recording.truth["position"][0], truth[[0, 0, 1, 1, 2, 2]])
+
+
+@pytest.mark.parametrize("name", ["fixes", "ranges", "bearings"])
+def test_rows_of_arrays_are_those_of_the_same_table_in_a_folder(name):
+    folder = (tw.simulate.agv if name == "fixes" else tw.simulate.fusion)(n=1, seed=2, rows=40).folder()
+    columns = [c for c in folder.tables[name].columns if c.endswith(("_m", "_rad"))]
+    said = {c.replace("_m", "_std_m").replace("_rad", "_std_rad"): 0.1 + 0.1 * k for k, c in enumerate(columns)}
+    last = pl.when(pl.int_range(pl.len()) != 5).then(columns[-1]).alias(columns[-1])
+    table = folder.tables[name].with_columns(last, **{c: pl.lit(std) for c, std in said.items()})
+    folder = dataclasses.replace(folder, tables={**folder.tables, name: table})
+    times, values, std = (table.select(c).to_numpy() for c in ("t_s", columns, said.keys()))
+    rig = folder.rig
+    if name == "fixes":
+        (row,) = tw.parts.fix_trajectories(folder, True)
+        made = tw.baselines.fix_recording(times[:, 0], values, std=std)
+    elif name == "ranges":
+        (row,), anchors = tw.parts.range_trajectories(folder, True), list(rig.anchors)
+        given = {"std": std[:, 0], "anchor": [anchors.index(a) for a in table["anchor"]]}
+        made = tw.uwb_imu.range_recording(times[:, 0], values[:, 0], np.stack([*rig.anchors.values()]), **given)
+    else:
+        (row,) = tw.aoa.bearing_trajectories(folder, True)
+        made = tw.aoa.bearing_recording(times[:, 0], values, list(table["station"]), rig.stations, std=std)
+        row.recording.inputs.pop("nearby")  # zero in the first second, when no track starts
+    one, other = (stack([r]) for r in (row.recording, made))
+    jax.tree_util.tree_map(np.testing.assert_array_equal, one.readings, other.readings)
+    for key in one.inputs.keys() & other.inputs.keys():
+        np.testing.assert_allclose(one.inputs[key], other.inputs[key], err_msg=key)
 
 
 HALL = np.array([[0.0, 0.0, 2.0], [8.0, 0.0, 2.5], [8.0, 6.0, 2.0], [0.0, 6.0, 2.5]])

@@ -88,9 +88,3 @@ def test_a_playback_holds_every_estimate_of_each_run(run, in_arrays, tmp_path):
             drawn = np.frombuffer(base64.b64decode(held["columns"]["v0"]["bdata"]), "<f4")
             np.testing.assert_allclose(np.sort(drawn), np.sort(x), rtol=1e-6, atol=1e-6)
             assert (held["rows"], bool(one["metrics"])) == (len(x), scored)
-
-
-def test_a_chart_of_one_run_refuses_several(run):
-    recording, estimates = run
-    with pytest.raises(UnusableInput, match="error_over_time: found 2 runs by name; expected one"):
-        tw.plot.error_over_time({"a": estimates, "b": estimates}, recording)

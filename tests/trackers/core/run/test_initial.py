@@ -57,30 +57,6 @@ def test_a_run_from_a_given_belief_is_the_textbook_filter_from_that_prior():
     np.testing.assert_allclose(estimates.log_likelihood, lls + np.where(fixes.seen[:, 2], z, 0.0), rtol=1e-9, atol=1e-9)
 
 
-def test_each_recording_has_its_own_belief_or_all_have_one():
-    recordings = [_recording(12, k) for k in range(3)]
-    priors = [_prior((k, 0.0, 0.0, 0.0), 0.1)[0] for k in range(3)]
-    together = _tracker().run(recordings, initial=priors)
-    one = _tracker().run(recordings, initial=priors[1])
-    for k in range(3):
-        alone = _tracker().run(recordings[k], initial=priors[k])
-        np.testing.assert_allclose(flat(together[k].mean), flat(alone.mean), rtol=1e-12)
-    np.testing.assert_allclose(flat(one[1].mean), flat(together[1].mean), rtol=1e-12)
-    assert not np.allclose(flat(one[0].mean)[:3], flat(together[0].mean)[:3])
-
-
-def test_one_trajectory_of_several_continues_alone():
-    recordings = [_recording(9, k) for k in range(2)]
-    later = _recording(5, 7, begin=recordings[1].times[-1])
-    final = _tracker().run(recordings)[1].final
-    both = _tracker().run([later, later], initial=tw.TrackerState(
-        jax.tree_util.tree_map(lambda x: np.repeat(x, 2, axis=0), final.state), np.repeat(final.times, 2)
-    ))  # fmt: skip
-    alone = _tracker().run(later, initial=final)
-    np.testing.assert_allclose(flat(both[0].mean), flat(alone.mean), rtol=1e-12)
-    assert alone.status[0] == tw.Status.OK
-
-
 @pytest.mark.parametrize(
     ("recordings", "initial", "part"),
     [

@@ -91,6 +91,7 @@ def _ranges(**changed):
 FOLDER = tw.simulate.agv(n=1, seed=1, rows=10)
 FIXES = tw.Readings(PATH, np.ones(PATH.shape, bool))
 NAMES: dict[str, Any] = {
+    **{name: getattr(module, name) for module in (tw.aoa, tw.baselines, tw.uwb_imu) for name in module.__all__},
     "tw": tw,
     "np": np,
     "station": STATIONS["1"],
@@ -115,55 +116,41 @@ NAMES: dict[str, Any] = {
 }
 
 MISTAKES = [
-    ("tw.baselines.fix_tracker().run('my-folder')", "found str; expected a Recording", "`folder = tw.read(path)`"),
-    (
-        "tw.baselines.fix_tracker().run(folder)",
-        "found RecordingFolder; expected a Recording",
-        "`tw.tracker_for(folder)`",
-    ),
-    ("tw.baselines.fix_tracker().run(table)", "found DataFrame; expected a Recording", "a recording of its columns"),
-    ("tw.baselines.fix_tracker().run(path)", "found ndarray; expected a Recording", "by `fix_rec"),
+    ("fix_tracker().run('my-folder')", "found str; expected a Recording", "`folder = tw.read(path)`"),
+    ("fix_tracker().run(folder)", "found RecordingFolder; expected a Recording", "`tw.tracker_for(folder)`"),
+    ("fix_tracker().run(table)", "found DataFrame; expected a Recording", "a recording of its columns"),
+    ("fix_tracker().run(path)", "found ndarray; expected a Recording", "by `fix_rec"),
     (
         "tw.tracker_for(folder).run(fixes)",
         "found Recording; expected one or more recording folders",
         "`range_tracker(4",
     ),
     (
-        "tw.aoa.beam_tracker(station, '1').run(tw.aoa.phase_recording(times, {'phases': phases}))",
+        "beam_tracker(station, '1').run(phase_recording(times, {'phases': phases}))",
         "found readings of phases; expected '1', which sensor '1' (PlanePhases) reads",
     ),
     (
-        "tw.aoa.beam_tracker(station, '1').run(tw.aoa.phase_recording(times, {'1': phases[:, :7]}))",
+        "beam_tracker(station, '1').run(phase_recording(times, {'1': phases[:, :7]}))",
         "readings['1'] has 7 channels; expected the 8 of sensor '1' (PlanePhases), phase_1 … phase_8, rad",
     ),
+    ("trilateration_tracker().run(ranges)", "readings['ranges'] has 1 channel; expected the 3 of Trilateration"),
     (
-        "tw.uwb_imu.trilateration_tracker().run(ranges)",
-        "readings['ranges'] has 1 channel; expected the 3 of Trilateration",
-    ),
-    (
-        "tw.baselines.fix_tracker().run(recording({'fixes': tw.Readings(path, path > 0, np.full((30, 2), 0.1))}))",
+        "fix_tracker().run(recording({'fixes': tw.Readings(path, path > 0, np.full((30, 2), 0.1))}))",
         "readings['fixes'].reported has 2 columns; expected the 3 of sensor 'fixes' (FixSensor), variance_x, variance_y",
     ),
-    ("tw.baselines.fix_tracker().run([fixes, ranges])", "recording 0 ('hall') and missing in recording 1 ('lab')"),
+    ("fix_tracker().run([fixes, ranges])", "recording 0 ('hall') and missing in recording 1 ('lab')"),
+    ("range_tracker(4, planar=True).run(ranges)", "recording 'lab': no input 'height', found anchors, anchor,"),
+    ("direct_tracker(stations, planar=True).run(all_phases)", "recording 'station': no input 'height'"),
     (
-        "tw.uwb_imu.range_tracker(4, planar=True).run(ranges)",
-        "recording 'lab': no input 'height', found anchors, anchor,",
-    ),
-    ("tw.aoa.direct_tracker(stations, planar=True).run(all_phases)", "recording 'station': no input 'height'"),
-    (
-        "tw.uwb_imu.range_tracker(2).run(ranges)",
+        "range_tracker(2).run(ranges)",
         "is 3 in a row; expected 0 to 1, since sensor 'ranges' (RangeSensor) is built for 2",
     ),
+    ("range_tracker(4).run(changed(nearby=None))", "no input 'nearby'", "which the start (BiasedStart) reads"),
     (
-        "tw.uwb_imu.range_tracker(4).run(changed(nearby=None))",
-        "no input 'nearby'",
-        "which the start (BiasedStart) reads",
-    ),
-    (
-        "tw.uwb_imu.range_tracker(4).run(changed(anchors=np.tile(anchors.ravel(), (120, 1))))",
+        "range_tracker(4).run(changed(anchors=np.tile(anchors.ravel(), (120, 1))))",
         "inputs['anchors'] has rows of shape (12,); expected rows of shape (3,) m, x, y, z of the anchor of each slot",
     ),
-    ("tw.uwb_imu.inertial_tracker(4).run(ranges)", "no input 'accel'", "which the motion (Strapdown) reads"),
+    ("inertial_tracker(4).run(ranges)", "no input 'accel'", "which the motion (Strapdown) reads"),
     (
         "declared.run(recording({'wheel': turns}))",
         "no input 'wheel', found none; expected one number per row, m, the rad",
@@ -174,20 +161,14 @@ MISTAKES = [
         "the view of Car has position; expected 'velocity', which sensor 'fixes'",
     ),
     (
-        "tw.baselines.fix_tracker().run(tw.stack([fixes])._replace(inputs={'height': np.ones(1)}))",
+        "fix_tracker().run(tw.stack([fixes])._replace(inputs={'height': np.ones(1)}))",
         "inputs['height'] has shape (1,); expected (30, …, 1), rows first and trajectories last as `dt`",
     ),
-    (
-        "tw.Smoothed(tw.baselines.fix_tracker()).run(ranges)",
-        "recording 'lab': found readings of ranges; expected 'fixes'",
-    ),
+    ("tw.Smoothed(fix_tracker()).run(ranges)", "recording 'lab': found readings of ranges; expected 'fixes'"),
     ("tw.fit(tw.tracker_for(folder), fixes, 'nll')", "found Recording; expected one or more recording folders"),
-    ("tw.fit(fixes, tw.baselines.fix_tracker(), 'nll')", "fit: found Recording for the tracker; expected a tracker"),
-    ("tw.fit(tw.baselines.fix_tracker(), fixes, 'rmes')", "'rmes' is no objective; expected some of nll, "),
-    (
-        "tw.fit(tw.baselines.fix_tracker(), fixes, 'nll+0.1*rmse')",
-        "the recordings have no known truth; expected some, which",
-    ),
+    ("tw.fit(fixes, fix_tracker(), 'nll')", "fit: found Recording for the tracker; expected a tracker"),
+    ("tw.fit(fix_tracker(), fixes, 'rmes')", "'rmes' is no objective; expected some of nll, "),
+    ("tw.fit(fix_tracker(), fixes, 'nll+0.1*rmse')", "the recordings have no known truth; expected some, which"),
 ]
 
 
