@@ -88,7 +88,7 @@ def test_without_truth_tracks_are_written_but_not_evaluated(vehicles, tmp_path):
     assert _overall(tmp_path / "run", "--truth", read) == _overall(folder)
 
 
-@pytest.mark.parametrize("options", [(), ("--free-height",)])
+@pytest.mark.parametrize("options", [(), pytest.param(("--free-height",), marks=pytest.mark.slow)])
 def test_bearings_of_a_walk_are_tracked_at_the_known_height_or_estimate_it(tmp_path, options):
     folder = worlds.fusion(n=1, seed=8, rows=28, stations=4, sigma_angle=0.03, bias_angle=0.0, lost=0.0).folder()
     height = folder.tables["truth"]["z_m"][0]
