@@ -5,6 +5,8 @@ BIN := .venv/bin
 PEERS := .venv-peers/bin
 GPU := .venv-gpu/bin
 DOCS := .venv-docs/bin
+# Modules are compiled when they are first imported: most never are, and compiling all takes as long as unpacking them.
+INSTALL := python -m pip install --quiet --disable-pip-version-check --no-compile
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
 .PHONY: env demo test test-slow digests lint docs gallery papers bench validation benchmark bench-gpu clean
@@ -14,25 +16,29 @@ env: .venv/installed
 .venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo '$(OLD_PYTHON)' >&2; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,lint,cluster]' -c constraints.txt
+	$(BIN)/$(INSTALL) -e '.[test,cluster]' -c constraints.txt
+	@touch $@
+
+.venv/linting: .venv/installed
+	$(BIN)/$(INSTALL) -e '.[lint]' -c constraints.txt
 	@touch $@
 
 .venv-peers/installed: pyproject.toml constraints.txt constraints-peers.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo '$(OLD_PYTHON)' >&2; exit 1; }
 	$(PYTHON) -m venv .venv-peers
-	$(PEERS)/python -m pip install --quiet --disable-pip-version-check -e '.[peers]' -c constraints.txt -c constraints-peers.txt
+	$(PEERS)/$(INSTALL) -e '.[peers]' -c constraints.txt -c constraints-peers.txt
 	@touch $@
 
 .venv-gpu/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo '$(OLD_PYTHON)' >&2; exit 1; }
 	$(PYTHON) -m venv .venv-gpu
-	$(GPU)/python -m pip install --quiet --disable-pip-version-check -e '.[cuda]' -c constraints.txt
+	$(GPU)/$(INSTALL) -e '.[cuda]' -c constraints.txt
 	@touch $@
 
 .venv-docs/installed: pyproject.toml constraints.txt constraints-docs.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo '$(OLD_PYTHON)' >&2; exit 1; }
 	$(PYTHON) -m venv .venv-docs
-	$(DOCS)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]' -c constraints.txt -c constraints-docs.txt
+	$(DOCS)/$(INSTALL) -e '.[docs]' -c constraints.txt -c constraints-docs.txt
 	@touch $@
 
 demo: env
@@ -42,14 +48,14 @@ test: env
 	$(BIN)/python -m pytest
 
 # With fusions compiled as for users: the default suite compiles them another, faster way.
-test-slow: env
+test-slow: .venv/linting
 	XLA_FLAGS=--xla_backend_optimization_level=0 $(BIN)/python -m pytest -m slow
 
 # Whether a change moves numbers: its commit against the one before, or make digests DIGESTS='REV --only "case, uwb*"'
 digests: env
 	$(BIN)/python -m tests.digests $(DIGESTS)
 
-lint: env
+lint: .venv/linting
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

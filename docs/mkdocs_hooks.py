@@ -24,7 +24,10 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = {
     "tw": "trackwright",
     **{f"tw.{name}": name for name in ("sim", "tuning")},
-    **{f"tw.{name}": f"trackers/{name}" for name in ("aoa", "evaluation", "exchange", "line", "parts", "uwb_imu")},
+    **{
+        f"tw.{name}": f"trackers/{name}"
+        for name in ("aoa", "baselines", "evaluation", "exchange", "line", "mhk", "parts", "uwb_imu")
+    },
 }
 """The folders of the stubs by the names under which `import trackwright as tw` has them."""
 

@@ -20,7 +20,7 @@ import trackwright as tw
 SIGMA, HEIGHT = 0.1, 1.2
 """Standard deviation of a range, and the height of the tags, m; it is known to the tracker."""
 
-SENSOR = tw.RangeSensor(1, 1, SIGMA, 1.0, 1e6)
+SENSOR = tw.parts.RangeSensor(1, 1, SIGMA, 1.0, 1e6)
 
 
 def bound(anchors, place):
@@ -28,7 +28,7 @@ def bound(anchors, place):
 
     def whitened(at, anchor):
         inputs = {"anchors": anchor, "anchor": jnp.zeros(1), "height": jnp.asarray(HEIGHT)}
-        state = tw.Kinematic(tw.Vector(*at), tw.Vector(0.0 * at[0], 0.0 * at[1]))
+        state = tw.parts.Kinematic(tw.Vector(*at), tw.Vector(0.0 * at[0], 0.0 * at[1]))
         exact = jnp.linalg.norm(jnp.append(place, HEIGHT) - anchor)
         reading = tw.Reading([exact], [jnp.asarray(True)], ())
         residual = SENSOR.residual(reading, list(SENSOR.measure(state, inputs)))

@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable
+from pathlib import Path
 from types import CodeType
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -9,7 +10,9 @@ import jaxtyping
 from beartype import BeartypeConf, beartype
 from jaxtyping import AbstractArray, install_import_hook
 
-PACKAGES = ["trackwright.trackers.core", "trackwright.tuning", "trackwright.sim"]
+ROOT = Path(__file__).parents[1]
+FILES = [path for folder in ("trackers/core", "tuning", "sim") for path in (ROOT / folder).rglob("*.py")]
+ANNOTATED = [path.relative_to(ROOT).with_suffix("") for path in FILES if "jaxtyping" in path.read_text("utf-8")]
 
 _beartype = beartype(conf=BeartypeConf(is_pep484_tower=True))
 
@@ -61,4 +64,4 @@ def _may_hold_shapes(function: Any) -> bool:
 
 
 jaxtyping.jaxtyped = jaxtyped  # by this name the hook decorates
-install_import_hook(PACKAGES, "tests.checked_shapes.check_arrays")
+install_import_hook([".".join(["trackwright", *path.parts]) for path in ANNOTATED], "tests.checked_shapes.check_arrays")

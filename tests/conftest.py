@@ -14,7 +14,8 @@ from pathlib import Path
 os.environ.setdefault(
     "XLA_FLAGS",
     "--xla_backend_optimization_level=0"
-    + (" --xla_cpu_use_fusion_emitters=false" if version("jaxlib").startswith("0.10.") else ""),
+    + " --xla_cpu_use_fusion_emitters=false --xla_llvm_disable_expensive_passes=true"
+    * version("jaxlib").startswith("0.10."),
 )
 # Tests, workers and commands in subprocesses share compiled programs: many of them compile the same tracker.
 os.environ.setdefault("TRACKWRIGHT_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))

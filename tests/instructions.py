@@ -124,7 +124,7 @@ def paths() -> dict[str, Callable[[], object]]:
     tw.write(folder, "hall")
     estimates = uwb.run(folder)
 
-    tracker = tw.range_tracker(4)
+    tracker = tw.uwb_imu.range_tracker(4)
     parameters = select_parameters(tracker, ("motion.sigma_a", "sensors.ranges.sigma_r"))
     problem = Problem(
         tracker,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import polars as pl
-from scipy.signal import lfilter
 
 import trackwright as tw
 
@@ -63,6 +62,8 @@ def smooth_path(times, size, random):
 
 def lasting_errors(times, count, random):
     """Errors (n, count) of unit variance with an exponential correlation over `LASTS` s."""
+    from scipy.signal import lfilter  # seconds of imports
+
     keep = np.exp(-1.0 / (RATE * LASTS))
     steps = random.standard_normal((len(times), count)) * np.sqrt(1.0 - keep**2)
     return np.asarray(lfilter([1.0], [1.0, -keep], steps, axis=0))

@@ -6,7 +6,7 @@ from tests.catalogue import MOTIONS, SENSORS
 from trackwright.trackers.conformance.parts import motion_checks, sensor_checks
 
 SLOW = {
-    *(name for name in MOTIONS if name.endswith(", no accelerometer")),
+    *(name for name in MOTIONS if name.endswith((", no accelerometer", ", no IMU", ", transport"))),
     "fixes", "fixes above the anchors' plane", "ranges", "range differences", "bearings",
 }  # fmt: skip
 """Of classes that another case has with more of its code: an IMU that is whole or missing, noise that is reported."""

@@ -69,6 +69,7 @@ def _run(page, folder, monkeypatch):
     return names
 
 
+@pytest.mark.slow
 def test_the_python_example_of_the_readme_runs_and_lowers_the_negative_log_likelihood(tmp_path, monkeypatch):
     shutil.copytree(REAL, tmp_path / "out/demo/recordings")
     names = _run("README.md", tmp_path, monkeypatch)

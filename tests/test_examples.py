@@ -82,6 +82,7 @@ def test_the_calibration_finds_the_biases_and_helps_on_another_day(example):
     assert after < 0.7 * before
 
 
+@pytest.mark.slow
 def test_the_fit_of_an_own_tracker_finds_the_noise_of_its_sensors(example):
     left = example("own_sensor_and_tracker")
     values, errors = left["result"].values, left["result"].standard_errors
@@ -113,6 +114,7 @@ def test_fastening_points_are_told_apart_from_the_spacing_on_that_the_papers_nam
         assert found[tracker, "unlocked wrong"][0.2] < 0.05
 
 
+@pytest.mark.slow
 def test_days_with_more_obstructions_have_larger_errors_and_innovations(example, tmp_path):
     left = example("recordings_to_pandas")
     assert left["summary"]["rmse_m"].corr(left["summary"]["nis_per_dof"], method="spearman") > 0.5

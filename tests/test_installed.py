@@ -81,7 +81,7 @@ def test_a_wheel_has_all_files_under_one_name_and_the_command(wheel):
 
 @pytest.mark.slow
 def test_the_wheel_runs_beside_the_trackers_of_pypi(beside, tmp_path):
-    program = "import trackers, trackwright as tw; print(trackers.SORTTracker.__name__, tw.fix_tracker, tw.__file__)"
+    program = "import trackers, trackwright as tw; print(trackers.SORTTracker.__name__, tw.baselines.fix_tracker, tw.__file__)"
     done = _done([beside, "-c", program], tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("SORTTracker <function fix_tracker")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import trackwright as tw
 from trackwright.experiments.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
@@ -20,7 +21,7 @@ LINES = {
 }
 """The most lines of Python of each folder at the top."""
 
-PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS = 40_295, 252, 37_270, 13
+PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS, MOST_NAMES = 40_295, 252, 37_270, 13, 100
 
 
 def _files(*suffixes: str) -> list[Path]:
@@ -54,3 +55,7 @@ def test_the_docs_have_no_more_words_than_their_limit():
 
 def test_there_are_no_more_commands_than_their_limit():
     assert len(COMMANDS) <= MOST_COMMANDS
+
+
+def test_the_top_has_no_more_names_than_its_limit():
+    assert len(tw.__all__) <= MOST_NAMES

@@ -90,7 +90,7 @@ def range_recording(
     if anchors.ndim != 2 or anchors.shape[1] != 3:
         raise UnusableInput(f"anchors have shape {anchors.shape}; expected (A, 3), m")
     _warn_of_map("range_recording", anchors)
-    table = np.asarray(ranges, float)
+    table, true = np.asarray(ranges, float), _truth(truth, len(times))
     if anchor is None:
         if table.ndim != 2 or table.shape[1] != len(anchors):
             raise UnusableInput(
@@ -104,7 +104,7 @@ def range_recording(
         row, number = np.nonzero(kept)
         times, table = seconds(times)[row], table[kept]
         std = None if std is None else _like(std, kept)[kept]
-        truth = None if truth is None else _rows_of(truth, row, len(kept))
+        true = {name: (place[row], known[row]) for name, (place, known) in true.items()}
     else:
         number = np.asarray(anchor, int)
         if table.ndim != 1 or number.shape != table.shape or not np.all((number >= 0) & (number < len(anchors))):
@@ -122,7 +122,7 @@ def range_recording(
     ends, heights = np.array([0, len(values)]), np.array([np.nan if height is None else height], float)
     inputs = range_inputs(ends, seconds(times), readings, number, anchors, heights, rig)
     inputs[ROOM.name] = room_rows(anchors, None, len(values))
-    return Recording(times, {RANGES: readings}, inputs | _height(times, height), _truth(truth, len(times)), name)
+    return Recording(times, {RANGES: readings}, inputs | _height(times, height), true, name)
 
 
 def bearing_recording(
@@ -221,12 +221,6 @@ def _like(values: np.ndarray, other: np.ndarray) -> np.ndarray:
     if values.shape[: other.ndim] != other.shape[: values.ndim] or values.ndim != other.ndim:
         raise UnusableInput(f"std has shape {values.shape}; expected {other.shape}, as of the measurements")
     return values
-
-
-def _rows_of(truth: np.ndarray, row: np.ndarray, rows: int) -> np.ndarray:
-    if len(truth) != rows:
-        raise UnusableInput(f"truth has {len(truth)} rows; expected {rows}, one for each time")
-    return np.asarray(truth, float)[row]
 
 
 def _height(times: np.ndarray, height: float | None) -> dict[str, np.ndarray]:

@@ -25,25 +25,25 @@ WRONG = {
     "a list of stations": [STATION],
 }
 CONSTRUCTORS = {
-    "fix_tracker": tw.fix_tracker,
-    "singer_tracker": tw.singer_tracker,
-    "switching_tracker": tw.switching_tracker,
-    "mirror_tracker": tw.mirror_tracker,
-    "mhk_tracker": tw.mhk_tracker,
-    "MovingWindow": lambda wrong: tw.MovingWindow(wrong, median=True),
-    "range_tracker": tw.range_tracker,
-    "inertial_tracker": tw.inertial_tracker,
-    "multilateration_tracker": tw.multilateration_tracker,
-    "trilateration_tracker": tw.trilateration_tracker,
-    "line_tracker": lambda wrong: tw.line_tracker(wrong, {}),
-    "line_grid_tracker": lambda wrong: tw.line_grid_tracker(wrong, {}),
-    "bearing_tracker": tw.bearing_tracker,
-    "beam_tracker": tw.beam_tracker,
-    "beam_tracker, named": lambda wrong: tw.beam_tracker(wrong, "1"),
-    "in_plane_beam_tracker": tw.in_plane_beam_tracker,
-    "cascade_tracker": tw.cascade_tracker,
-    "direct_tracker": tw.direct_tracker,
-    "DelayAndSum.of": tw.DelayAndSum.of,
+    "fix_tracker": tw.baselines.fix_tracker,
+    "singer_tracker": tw.baselines.singer_tracker,
+    "switching_tracker": tw.baselines.switching_tracker,
+    "mirror_tracker": tw.baselines.mirror_tracker,
+    "mhk_tracker": tw.mhk.mhk_tracker,
+    "MovingWindow": lambda wrong: tw.baselines.MovingWindow(wrong, median=True),
+    "range_tracker": tw.uwb_imu.range_tracker,
+    "inertial_tracker": tw.uwb_imu.inertial_tracker,
+    "multilateration_tracker": tw.uwb_imu.multilateration_tracker,
+    "trilateration_tracker": tw.uwb_imu.trilateration_tracker,
+    "line_tracker": lambda wrong: tw.line.line_tracker(wrong, {}),
+    "line_grid_tracker": lambda wrong: tw.line.line_grid_tracker(wrong, {}),
+    "bearing_tracker": tw.aoa.bearing_tracker,
+    "beam_tracker": tw.aoa.beam_tracker,
+    "beam_tracker, named": lambda wrong: tw.aoa.beam_tracker(wrong, "1"),
+    "in_plane_beam_tracker": tw.aoa.in_plane_beam_tracker,
+    "cascade_tracker": tw.aoa.cascade_tracker,
+    "direct_tracker": tw.aoa.direct_tracker,
+    "DelayAndSum.of": tw.aoa.DelayAndSum.of,
     "Smoothed": tw.Smoothed,
 }
 LEVELS = ("fix_tracker", "singer_tracker", "mirror_tracker")
@@ -64,13 +64,14 @@ def test_an_argument_of_another_kind_is_refused_in_one_line(name):
 
 def test_every_public_constructor_of_a_tracker_is_tried():
     # `Cascade` is made of trackers by `cascade_tracker`.
-    public = {name for name in tw.__all__ if name.endswith("_tracker") or name in ("MovingWindow", "Smoothed")}
-    public.remove("check_tracker")
+    systems = (tw.aoa, tw.baselines, tw.line, tw.mhk, tw.uwb_imu)
+    public = {name for system in systems for name in system.__all__ if name.endswith(("_tracker", "Window"))}
+    assert len(public) > 15
     assert public <= {name.partition(",")[0] for name in CONSTRUCTORS}
 
 
-@pytest.mark.parametrize("make", [tw.beam_tracker, tw.in_plane_beam_tracker, tw.DelayAndSum.of])
+@pytest.mark.parametrize("make", [tw.aoa.beam_tracker, tw.aoa.in_plane_beam_tracker, tw.aoa.DelayAndSum.of])
 def test_a_tracker_of_one_station_reads_its_phases_under_the_name_phases(make):
     times = 0.1 * np.arange(5)
-    recording = tw.phase_recording(times, {"phases": np.zeros((5, 8))})
+    recording = tw.aoa.phase_recording(times, {"phases": np.zeros((5, 8))})
     assert make(STATION).run(recording).status.shape == (5,)

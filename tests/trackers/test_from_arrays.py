@@ -1,5 +1,7 @@
 """Recordings from arrays: what is masked, which heights they carry, and reported noise as variances."""
 
+import dataclasses
+
 import jax
 import jaxtyping
 import numpy as np
@@ -7,6 +9,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
+from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.ranges import RANGES
 
@@ -27,7 +30,7 @@ PATH = np.array([[1.0, 2.0, 3.0], [np.nan, 2.5, 3.5], [1.5, np.nan, np.nan]])
     ],
 )
 def test_fixes_carry_the_height_of_the_tag_or_zero_without_any_z(positions, height, expected):
-    recording = tw.fix_recording(TIMES, positions, height=height)
+    recording = tw.baselines.fix_recording(TIMES, positions, height=height)
     if expected is None:
         assert "height" not in recording.inputs
     else:
@@ -40,13 +43,13 @@ def test_fixes_carry_the_height_of_the_tag_or_zero_without_any_z(positions, heig
 
 def test_reported_standard_deviations_of_fixes_become_variances():
     std = np.array([[0.1, 0.2, 0.3], [np.nan, 0.2, 0.3], [0.4, 0.2, 0.3]])
-    reported = tw.fix_recording(TIMES, PATH, std=std).readings[FIXES].reported
+    reported = tw.baselines.fix_recording(TIMES, PATH, std=std).readings[FIXES].reported
     np.testing.assert_allclose(reported, [[0.01, 0.04, 0.09], [0.0, 0.04, 0.09], [0.16, 0.04, 0.09]])
-    np.testing.assert_array_equal(tw.fix_recording(TIMES, PATH).readings[FIXES].reported, 0.0)
+    np.testing.assert_array_equal(tw.baselines.fix_recording(TIMES, PATH).readings[FIXES].reported, 0.0)
 
 
 def test_truth_with_a_missing_coordinate_is_unknown_and_zero():
-    place, known = tw.fix_recording(TIMES, PATH, truth=PATH).truth["position"]
+    place, known = tw.baselines.fix_recording(TIMES, PATH, truth=PATH).truth["position"]
     np.testing.assert_array_equal(known, [True, False, False])
     np.testing.assert_array_equal(place, [PATH[0], np.zeros(3), np.zeros(3)])
 
@@ -55,7 +58,7 @@ def test_a_table_of_ranges_becomes_a_row_for_each_that_is_there():
     anchors = np.array([[0.0, 0.0, 2.0], [4.0, 0.0, 2.0], [0.0, 4.0, 2.0]])
     ranges = np.array([[3.0, 4.0, np.nan], [np.nan, 4.5, -1.0], [3.5, np.nan, 5.0]])
     std, truth = np.arange(9.0).reshape(3, 3) / 10, PATH[[0, 0, 0]] + TIMES[:, None]
-    recording = tw.range_recording(TIMES, ranges, anchors, std=std, height=1.0, truth=truth)
+    recording = tw.uwb_imu.range_recording(TIMES, ranges, anchors, std=std, height=1.0, truth=truth)
     np.testing.assert_array_equal(recording.times, [0.0, 0.0, 0.5, 0.5, 2.0, 2.0])
     measured = recording.readings[RANGES]
     np.testing.assert_array_equal(measured.values[:, 0], [3.0, 4.0, 4.5, -1.0, 3.5, 5.0])
@@ -66,6 +69,33 @@ def test_a_table_of_ranges_becomes_a_row_for_each_that_is_there():
     np.testing.assert_array_equal(recording.inputs["anchors"], anchors[[0, 1, 1, 2, 0, 2]])
     np.testing.assert_array_equal(recording.inputs["height"], 1.0)
     np.testing.assert_array_equal(recording.truth["position"][0], truth[[0, 0, 1, 1, 2, 2]])
+
+
+@pytest.mark.parametrize("name", ["fixes", "ranges", "bearings"])
+def test_rows_of_arrays_are_those_of_the_same_table_in_a_folder(name):
+    folder = (tw.simulate.agv if name == "fixes" else tw.simulate.fusion)(n=1, seed=2, rows=40).folder()
+    columns = [c for c in folder.tables[name].columns if c.endswith(("_m", "_rad"))]
+    said = {c.replace("_m", "_std_m").replace("_rad", "_std_rad"): 0.1 + 0.1 * k for k, c in enumerate(columns)}
+    last = pl.when(pl.int_range(pl.len()) != 5).then(columns[-1]).alias(columns[-1])
+    table = folder.tables[name].with_columns(last, **{c: pl.lit(std) for c, std in said.items()})
+    folder = dataclasses.replace(folder, tables={**folder.tables, name: table})
+    times, values, std = (table.select(c).to_numpy() for c in ("t_s", columns, said.keys()))
+    rig = folder.rig
+    if name == "fixes":
+        (row,) = tw.parts.fix_trajectories(folder, True)
+        made = tw.baselines.fix_recording(times[:, 0], values, std=std)
+    elif name == "ranges":
+        (row,), anchors = tw.parts.range_trajectories(folder, True), list(rig.anchors)
+        given = {"std": std[:, 0], "anchor": [anchors.index(a) for a in table["anchor"]]}
+        made = tw.uwb_imu.range_recording(times[:, 0], values[:, 0], np.stack([*rig.anchors.values()]), **given)
+    else:
+        (row,) = tw.aoa.bearing_trajectories(folder, True)
+        made = tw.aoa.bearing_recording(times[:, 0], values, list(table["station"]), rig.stations, std=std)
+        row.recording.inputs.pop("nearby")  # zero in the first second, when no track starts
+    one, other = (stack([r]) for r in (row.recording, made))
+    jax.tree_util.tree_map(np.testing.assert_array_equal, one.readings, other.readings)
+    for key in one.inputs.keys() & other.inputs.keys():
+        np.testing.assert_allclose(one.inputs[key], other.inputs[key], err_msg=key)
 
 
 HALL = np.array([[0.0, 0.0, 2.0], [8.0, 0.0, 2.5], [8.0, 6.0, 2.0], [0.0, 6.0, 2.5]])
@@ -83,7 +113,7 @@ RANGES_M = np.linalg.norm(HALL - np.array([3.0, 2.0, 1.0]), axis=1) * np.ones((3
 )
 def test_ranges_in_another_unit_or_order_are_refused_in_one_line_about_the_arrays_given(times, ranges, anchors, words):
     with pytest.raises(tw.UnusableInput, match=words):
-        tw.range_recording(times, ranges, anchors)
+        tw.uwb_imu.range_recording(times, ranges, anchors)
 
 
 @pytest.mark.parametrize(
@@ -97,26 +127,26 @@ def test_ranges_in_another_unit_or_order_are_refused_in_one_line_about_the_array
 )
 def test_fixes_in_another_unit_or_without_any_are_refused(times, positions, words):
     with pytest.raises(tw.UnusableInput, match=words):
-        tw.fix_recording(times, positions)
+        tw.baselines.fix_recording(times, positions)
 
 
 def test_times_in_milliseconds_are_refused_or_warned_of_by_the_arrays_of_both_kinds():
     with pytest.raises(tw.UnusableInput, match="range_recording: times: .* looks like milliseconds since 1970"):
-        tw.range_recording((TIMES + 1.7e9) * 1e3, RANGES_M, HALL)
+        tw.uwb_imu.range_recording((TIMES + 1.7e9) * 1e3, RANGES_M, HALL)
     with pytest.warns(UserWarning, match="fix_recording: times: rows 1000 s apart .* looks like milliseconds"):
-        tw.fix_recording(TIMES * 1e3, PATH)
+        tw.baselines.fix_recording(TIMES * 1e3, PATH)
 
 
 def test_coordinates_of_a_map_are_a_warning_in_single_precision_alone():
     far = np.array([5e5, 5.4e6, 0.0])
-    tw.range_recording(TIMES, RANGES_M, HALL + far)
+    tw.uwb_imu.range_recording(TIMES, RANGES_M, HALL + far)
     with jax.enable_x64(False):
         with pytest.warns(UserWarning, match=r"range_recording: coordinates reach 5.4e\+06 m, .* resolves 0.5 m"):
-            tw.range_recording(TIMES, RANGES_M, HALL + far)
+            tw.uwb_imu.range_recording(TIMES, RANGES_M, HALL + far)
         with pytest.warns(UserWarning, match="fix_recording: coordinates"):
-            tw.fix_recording(TIMES, np.ones((3, 3)) + far)
+            tw.baselines.fix_recording(TIMES, np.ones((3, 3)) + far)
         # A single wild fix is none of a map.
-        tw.fix_recording(TIMES, np.ones((3, 3)) + np.eye(3) * 1e9)
+        tw.baselines.fix_recording(TIMES, np.ones((3, 3)) + np.eye(3) * 1e9)
 
 
 @pytest.fixture

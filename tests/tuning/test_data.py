@@ -98,11 +98,11 @@ def test_a_height_near_the_plane_of_level_anchors_is_not_judged_by_default(highe
 def test_recordings_in_arrays_with_true_heights_are_judged_in_space_by_default():
     times = np.arange(40) * 0.1
     path = np.stack([times, 0 * times, 1.2 + 0 * times], axis=1)
-    recording = tw.fix_recording(times, path, truth=path)
+    recording = tw.baselines.fix_recording(times, path, truth=path)
     for dimensions, truth in ((3, path), (2, path[:, :2])):
-        given = tw.fix_recording(times, path, truth=truth)
-        assert fit_arrays(tw.fix_tracker(), given, None, ()).objective.dimensions == dimensions
-    assert fit_arrays(tw.fix_tracker(), recording, "rmse", ()).objective.dimensions == 2
+        given = tw.baselines.fix_recording(times, path, truth=truth)
+        assert fit_arrays(tw.baselines.fix_tracker(), given, None, ()).objective.dimensions == dimensions
+    assert fit_arrays(tw.baselines.fix_tracker(), recording, "rmse", ()).objective.dimensions == 2
 
 
 @pytest.mark.slow
@@ -110,9 +110,9 @@ def test_the_latency_of_fixes_is_fitted_by_default_where_there_is_truth():
     rng, times = np.random.default_rng(3), np.arange(300) * 0.1
     place = np.stack([4 * np.sin(0.4 * times), 3 * np.cos(0.3 * times), 1.2 + 0 * times], axis=1)
     late = np.stack([np.interp(times - 0.4, times, x) for x in place.T], axis=1) + 0.02 * rng.normal(size=place.shape)
-    found = tw.fit(tw.fix_tracker(), tw.fix_recording(times, late, truth=place))
+    found = tw.fit(tw.baselines.fix_tracker(), tw.baselines.fix_recording(times, late, truth=place))
     assert float(found.values["sensors.fixes.latency"]) == pytest.approx(0.4, abs=0.03)
-    blind = tuned_by_default(tw.fix_tracker(), needs_truth=False)
+    blind = tuned_by_default(tw.baselines.fix_tracker(), needs_truth=False)
     assert "sensors.fixes.latency" not in blind
     assert {*found.values} ^ {*blind} == {"sensors.fixes.latency", "sensors.fixes.dof"}
 

@@ -74,16 +74,14 @@ def asserted(checks: Callable[P, list[Check]]) -> Callable[P, None]:
 FAR = 1e6  # an outlier, in units of a channel, the square of whose whitened residual is finite in float32
 
 
-def motion_checks(
-    motion: AbstractMotion, state: State, inputs: Inputs | None = None, dt: float = 0.1, seed: int = 0
-) -> list[Check]:
+def motion_checks(motion: AbstractMotion, state: State, inputs: Inputs | None = None, dt: float = 0.1) -> list[Check]:
     """The checks of a motion at `state`, with the known `inputs` of one row, for steps of 0 s and of `dt` s.
 
     `step` returns a state of the same structure, for dt = 0 the same bits whatever the noise, and has all its
     randomness in `w`; values are finite; a filter predicts the covariance of difference quotients, also by `stages`.
     """
     require(isinstance(motion, AbstractMotion), "check_motion", motion, "an object of AbstractMotion")
-    what, q, rng = f"{type(motion).__name__}.step", motion.noise_dimension, np.random.default_rng(seed)
+    what, q, rng = f"{type(motion).__name__}.step", motion.noise_dimension, np.random.default_rng(0)
     draws = np.concatenate([np.zeros((1, q)), rng.normal(size=(2, q))])  # filters linearise at zero
     single, here = freeze(_arrays(motion)), _arrays(state)
     point, rebuild = coordinates(here)
@@ -158,7 +156,7 @@ def motion_checks(
 
 
 def sensor_checks(
-    sensor: AbstractSensor, view: Any, inputs: Inputs | None = None, reported: Sequence[float] = (), seed: int = 0
+    sensor: AbstractSensor, view: Any, inputs: Inputs | None = None, reported: Sequence[float] = ()
 ) -> list[Check]:
     """The checks of a sensor at `view`, a `motion.view` of a state, with the known `inputs` of one row.
 
@@ -182,7 +180,7 @@ def sensor_checks(
 
     @Check
     def mask() -> None:
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(0)
         for seen in (~everything, *~np.eye(m, dtype=bool), *(rng.random((4, m)) < 0.5)):
             offset = 0.1 * rng.normal(size=m)
             whitened, scale, dof = at.residual(offset, seen)

@@ -22,14 +22,14 @@ from trackwright.trackers.recordings.kinds import Kind, Sensors
 ROWS, SHIFT = 200, np.array([64.0, -32.0, 0.0])  # readings along a closed path, and how far its site is moved, m
 
 
-def kind_checks(kind: Kind, rig: Rig, seed: int = 0) -> list[Check]:
+def kind_checks(kind: Kind, rig: Rig) -> list[Check]:
     """The checks of a kind of measurement at positions among the anchors or stations of `rig`.
 
     `predicted` gives one finite number per column and row, row by row whatever the numbering of the sensors, and the
     same where a site is moved as a whole, since recordings in map coordinates are tracked about one nearby.
     """
     require(isinstance(kind, Kind), "check_kind", kind, "an object of Kind")
-    rng, ids, there = np.random.default_rng(seed), list(kind.places(rig)), list(kind.places(rig).values())
+    rng, ids, there = np.random.default_rng(0), list(kind.places(rig)), list(kind.places(rig).values())
     antennas = max((len(s.antennas) for s in rig.stations.values() if s.antennas is not None), default=1)
     n_columns = antennas if kind.numbered else len(kind.columns)
     places = np.array(there if there else [[-4.0, -3.0, 0.0], [4.0, 3.0, 2.0]])

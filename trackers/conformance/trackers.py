@@ -170,10 +170,8 @@ def tracker_checks(tracker: AbstractTracker, recordings: Sequence[Recording], *,
         with jax.enable_x64(True):
             slopes = np.asarray(jax.jit(jax.jacfwd(sums().sums))(jnp.asarray(sums().point)))
             quotients = sums().quotients()
-        off = (
-            np.abs(slopes - quotients) > 1e-3 * np.abs(quotients) + 1e-5 * np.maximum(np.abs(sums().here), 1.0)[:, None]
-        )
-        for figure, k in np.argwhere(off):
+        bound = 1e-3 * np.abs(quotients) + 1e-5 * np.maximum(np.abs(sums().here), 1.0)[:, None]
+        for figure, k in np.argwhere(np.abs(slopes - quotients) > bound):
             found = f"the derivative of the {('log-likelihood', 'estimates')[figure]} by {sums().labels[k]} is"
             numbers = f"{slopes[figure, k]:.6g}, by difference quotients {quotients[figure, k]:.6g}"
             raise BrokenContract(f"{found} {numbers}; usual fix: no stop_gradient, smooth = True for a start")

@@ -26,7 +26,7 @@ def names_on_demand(package: str, file: str) -> tuple[Callable[[str], Any], Call
     homes = {
         name.asname or name.name: (node.module, name.name)
         for node in tree.body
-        if isinstance(node, ast.ImportFrom) and node.module is not None
+        if isinstance(node, ast.ImportFrom) and node.module and node.module != package
         for name in node.names
     }
     (public,) = (ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign))
@@ -34,8 +34,7 @@ def names_on_demand(package: str, file: str) -> tuple[Callable[[str], Any], Call
     def get(name: str) -> Any:
         if name in homes:
             module, original = homes[name]
-            inside = find_spec(f"{module}.{original}") if hasattr(importlib.import_module(module), "__path__") else None
-            member = importlib.import_module(inside.name) if inside else getattr(sys.modules[module], original)
+            member = getattr(__import__(module, fromlist=[original]), original)
         elif find_spec(f"{package}.{name}") is not None:
             member = importlib.import_module(f"{package}.{name}")
         else:
@@ -44,6 +43,6 @@ def names_on_demand(package: str, file: str) -> tuple[Callable[[str], Any], Call
         return member
 
     def listed() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *homes})
+        return sorted({*public, *(name for name in vars(sys.modules[package]) if name.startswith("__"))})
 
     return get, listed, public

@@ -40,11 +40,11 @@ class Levels(NamedTuple):
 
 TRACKERS = {
     "bearings": Levels(
-        tw.bearing_tracker, "stations", (*DRIFTING, "sigma_azimuth", "sigma_elevation"),
+        tw.aoa.bearing_tracker, "stations", (*DRIFTING, "sigma_azimuth", "sigma_elevation"),
         ("ble51-walk-u1-r1", "ble51-walk-u2-r1", "ble51-walk-u3-r1"),
     ),
     "uwb": Levels(
-        tw.range_tracker, "anchors", (*DRIFTING, "sigma_shared", "sigma_r", "positive_skew", "dof", "bias"),
+        tw.uwb_imu.range_tracker, "anchors", (*DRIFTING, "sigma_shared", "sigma_r", "positive_skew", "dof", "bias"),
         ("starloc-fast-s1", "starloc-2d-s5", "rcv-drone-3", "iasl-drone-1", "lias-planar-fast", "labyrinth",
          "ngbui-line-1-1", "ngbui-line-2-1"),
     ),

@@ -10,16 +10,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.catalogue import CASES
 from tests.experiments.cli.small_archive import random_walk
 from tests.experiments.monte_carlo.small_study import TOML
 from tests.in_process import PLAIN, assert_refused, trackwright
 from tests.survey_sites import simulated_site
 from tests.tuning.calibration_worlds import RIG, world
 from trackwright.experiments.text import terminal
-from trackwright.trackers.catalogue import ENTRIES, fitting
+from trackwright.trackers.catalogue import fitting
 from trackwright.trackers.core.model.rig import Tag
-from trackwright.trackers.core.model.tunable import meanings
 from trackwright.trackers.recordings.calibration import Calibration, read_calibration, write_calibration
 from trackwright.trackers.recordings.folder import read_recording, write_recording
 from trackwright.trackers.recordings.rig_file import read_rig
@@ -62,20 +60,6 @@ def test_a_tracker_is_listed_with_its_numbers_and_leaves_as_c(beginnings, tmp_pa
     assert "tag_step" in (tmp_path / "tag.h").read_text("utf-8")
 
 
-def test_trackers_are_listed_with_their_tables():
-    said = trackwright("trackers")
-    named = [line.split()[0] for line in said.out.splitlines() if line[:1].strip()]
-    assert sorted(named) == sorted(ENTRIES)
-    assert max(map(len, said.out.splitlines())) <= 80
-    assert all(entry.table in " ".join(said.out.split()) for entry in ENTRIES.values())
-
-
-def test_docstrings_say_what_each_tunable_of_each_tracker_is():
-    for name, case in CASES.items():
-        for tunable, sentence in meanings(case.tracker).items():
-            assert tunable.rpartition(".")[2] in sentence.replace("₀", "_0"), (name, tunable)
-
-
 SIGMA = "sensors.fixes.sigma_horizontal"
 
 
@@ -101,21 +85,6 @@ def test_a_sweep_gives_what_track_and_evaluate_give_at_the_same_value(tmp_path):
     np.testing.assert_allclose(table["motion.sigma_a"].unique().sort(), [0.01, 0.1, 1.0])
     assert (tmp_path / "twice" / "sweep.png").stat().st_size > 1000
     assert set(json.loads((tmp_path / "twice" / "manifest.json").read_text())["best"]) == {"motion.sigma_a", SIGMA}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["page", "none"])
-def test_tune_writes_the_page_that_is_asked_for(tmp_path, kind):
-    walks = [random_walk(tmp_path / name, k, 0.3, rows=60) for k, name in enumerate(("room", "other"))]
-    fit = ("--tracker", "fix-kf", "--tune", "motion.sigma_a", "--steps", 1, "--starts", 1, "--figures", kind)
-    done = trackwright("tune", walks[0], "--held-out", walks[1], *fit, "--out", tmp_path / "fit")
-    assert done.code == 0, done
-    written = {path.name for path in (tmp_path / "fit").iterdir()}
-    left = {"report.html"} if kind == "page" else set()
-    assert written == {"tuned.toml", "trace.csv", "manifest.json", "checkpoint.npz"} | left
-    if left:
-        page = (tmp_path / "fit" / "report.html").read_text("utf-8")
-        assert set(re.findall(r"Floor plan of (\w+), tag", page)) == {"other", "room"}
 
 
 @pytest.mark.parametrize(("kind", "left"), [("pdf", {"report.html", "rmse_m.pdf"}), ("none", set())])

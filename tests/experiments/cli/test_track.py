@@ -88,20 +88,7 @@ def test_without_truth_tracks_are_written_but_not_evaluated(vehicles, tmp_path):
     assert _overall(tmp_path / "run", "--truth", read) == _overall(folder)
 
 
-@pytest.mark.parametrize("tracker", ["beam", "das"])
-def test_bearing_trackers_write_azimuth_and_elevation_per_station(simulated, tmp_path, tracker):
-    said = trackwright("track", simulated, "--tracker", tracker, *PLAIN, "--out", tmp_path)
-    assert said.code == 0, said
-    tracks = _tracks(tmp_path)
-    assert set(BEARINGS) <= set(tracks.columns)
-    assert "x_m" not in tracks.columns
-    assert tracks.select("recording", "tag", "station", "t_s").is_unique().all()
-    assert tracks["azimuth_rad"].null_count() == 0
-    # delay-and-sum reports no covariance
-    assert tracks["std_azimuth_rad"].null_count() == (tracks.height if tracker == "das" else 0)
-
-
-@pytest.mark.parametrize("options", [(), ("--free-height",)])
+@pytest.mark.parametrize("options", [(), pytest.param(("--free-height",), marks=pytest.mark.slow)])
 def test_bearings_of_a_walk_are_tracked_at_the_known_height_or_estimate_it(tmp_path, options):
     folder = worlds.fusion(n=1, seed=8, rows=28, stations=4, sigma_angle=0.03, bias_angle=0.0, lost=0.0).folder()
     height = folder.tables["truth"]["z_m"][0]
@@ -135,14 +122,6 @@ def test_seconds_after_the_start_are_refused_where_times_count_from_1970(room):
     tables = {name: table.with_columns(pl.col("t_s") + 1777898800.0) for name, table in folder.tables.items()}
     with pytest.raises(UnusableInput, match="3 s is long before them; 3 s after the start is 1777898803"):
         Selection(start=3.0).of(replace(folder, tables=tables))
-
-
-def test_tables_that_the_chosen_tracker_does_not_read_are_named(room, tmp_path):
-    folder = read_recording(room)
-    fixes = folder.tables["truth"].select("t_s", "tag", "x_m", "y_m", "z_m")
-    write_recording(replace(folder, tables={**folder.tables, "fixes": fixes}), tmp_path / "both")
-    said = trackwright("track", tmp_path / "both", *PLAIN, "--out", tmp_path / "out")
-    assert "EKF with a drifting bias per anchor; without fixes); choose another with --tracker\n" in said.err
 
 
 def test_a_value_set_is_that_of_a_noise_file_and_goes_before_it(room, tmp_path):

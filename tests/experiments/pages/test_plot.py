@@ -28,8 +28,8 @@ def in_arrays():
     times = np.arange(40) * 0.1
     path = np.stack([times, np.sin(times), 0 * times + 1], axis=1)
     noise = 0.05 * np.random.default_rng(1).normal(size=path.shape)
-    recording = tw.fix_recording(times, path + noise, truth=path)
-    return recording, tw.fix_tracker().run(recording)
+    recording = tw.baselines.fix_recording(times, path + noise, truth=path)
+    return recording, tw.baselines.fix_tracker().run(recording)
 
 
 @pytest.fixture(autouse=True)
@@ -66,7 +66,7 @@ def test_every_chart_draws_on_given_axes_and_refuses_what_it_cannot_show(run, in
             axes = plt.figure().subplots()
             assert getattr(tw.plot, name)(*of, ax=axes) is axes
             assert axes.has_data()
-    bare = tw.fix_recording(in_arrays[0].times, in_arrays[0].readings["fixes"].values)
+    bare = tw.baselines.fix_recording(in_arrays[0].times, in_arrays[0].readings["fixes"].values)
     with pytest.raises(UnusableInput, match="no truth"):
         tw.plot.error_cdf(in_arrays[1], bare)
 
@@ -74,11 +74,11 @@ def test_every_chart_draws_on_given_axes_and_refuses_what_it_cannot_show(run, in
 def test_a_playback_holds_every_estimate_of_each_run(run, in_arrays, tmp_path):
     recording, estimates = run
     other, (array, own) = tw.build("median", recording).run(recording), in_arrays
-    bare = tw.fix_recording(array.times, array.readings["fixes"].values)
+    bare = tw.baselines.fix_recording(array.times, array.readings["fixes"].values)
     for shown, of, scored in (
         (tw.plot.playback({"fix-kf": estimates, "median": other}, recording), (estimates, other), True),
         (tw.plot.playback(own, array), (own,), True),
-        (tw.plot.playback(tw.fix_tracker().run(bare), bare), (own,), False),
+        (tw.plot.playback(tw.baselines.fix_tracker().run(bare), bare), (own,), False),
     ):
         assert len(repr(shown)) < 200
         assert shown._repr_html_().startswith("<iframe ")
@@ -88,9 +88,3 @@ def test_a_playback_holds_every_estimate_of_each_run(run, in_arrays, tmp_path):
             drawn = np.frombuffer(base64.b64decode(held["columns"]["v0"]["bdata"]), "<f4")
             np.testing.assert_allclose(np.sort(drawn), np.sort(x), rtol=1e-6, atol=1e-6)
             assert (held["rows"], bool(one["metrics"])) == (len(x), scored)
-
-
-def test_a_chart_of_one_run_refuses_several(run):
-    recording, estimates = run
-    with pytest.raises(UnusableInput, match="error_over_time: found 2 runs by name; expected one"):
-        tw.plot.error_over_time({"a": estimates, "b": estimates}, recording)

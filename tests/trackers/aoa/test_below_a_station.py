@@ -31,7 +31,7 @@ def test_below_a_station_errors_are_a_few_of_the_reported_standard_deviations(pa
     truth = np.column_stack([path(size, t), np.full(1200, 1.0)])
     names, rng = np.array(list("123"))[np.arange(1200) % 3], np.random.default_rng(seed)
     angles = np.stack([STATIONS[n].angles(p) for n, p in zip(names, truth, strict=True)])
-    recording = tw.bearing_recording(t, angles + rng.normal(0, 0.03, (1200, 2)), list(names), STATIONS, height=1.0)
+    recording = tw.aoa.bearing_recording(t, angles + rng.normal(0, 0.03, (1200, 2)), list(names), STATIONS, height=1.0)
     levels = {"sigma_a": 0.6, "sigma_azimuth": 0.03, "sigma_elevation": 0.03, "sigma_bias": (0.003, 0.003)}
     estimates = bearing_tracker(3, True, **levels).run(recording)
     late = slice(60, None)

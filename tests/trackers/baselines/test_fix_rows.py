@@ -32,18 +32,6 @@ def _known_height(folder):
     )
 
 
-def test_a_fix_is_a_row_with_masks_and_reported_variances(world):
-    table = world.tables["fixes"].with_columns(
-        y_m=pl.when(pl.col("t_s") == 1.0).then(None).otherwise("y_m"), x_std_m=pl.lit(0.2), z_std_m=pl.lit(0.3)
-    )
-    first, second = fix_trajectories(_with(world, fixes=table), free_height=False)
-    readings, times = first.recording.readings[FIXES], first.recording.times
-    assert (first.tag, second.tag, len(times)) == ("0", "1", 300)
-    np.testing.assert_array_equal(readings.seen[:, 1], times != 1.0)
-    assert readings.seen[:, [0, 2]].all()
-    np.testing.assert_allclose(readings.reported, np.tile([0.04, 0.0, 0.09], (300, 1)))
-
-
 def test_a_known_height_hides_z_from_planar_trackers_and_stands_for_it_in_mhk(world):
     known = _known_height(world)
     assert not fix_trajectories(known, free_height=False)[0].recording.readings[FIXES].seen[:, 2].any()

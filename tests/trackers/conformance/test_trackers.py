@@ -136,14 +136,14 @@ class AtTheFirst(tw.AbstractStart):
 
     def belief(self, candidate, row):
         zero = 0.0 * candidate[0]
-        state = tw.Kinematic(tw.Vector(candidate[0], candidate[1]), tw.Vector(zero, zero))
+        state = tw.parts.Kinematic(tw.Vector(candidate[0], candidate[1]), tw.Vector(zero, zero))
         return tw.Gaussian(state, tw.diagonal([0.3**2, 0.3**2, 1.0, 1.0], zero))
 
 
 def _kalman(**sensor: Any) -> tw.Tracker:
     """A linear tracker of positions."""
     places = Places(tw.Scale(0.2, "m", "measurement noise"), **sensor)
-    return tw.Tracker(tw.ConstantVelocity(0.5, 2), {"places": places}, AtTheFirst())
+    return tw.Tracker(tw.parts.ConstantVelocity(0.5, 2), {"places": places}, AtTheFirst())
 
 
 def _and(add):

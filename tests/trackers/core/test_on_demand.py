@@ -27,6 +27,7 @@ def test_a_name_is_the_object_of_its_module_and_dir_lists_it():
     assert trackwright.fit is fit
     assert trackwright.simulate is sim.worlds
     assert {"fit", "simulate", "read", "__version__"} <= set(dir(trackwright))
+    assert {name for name in dir(trackwright) if not name.startswith("__")} == set(trackwright.__all__)
 
 
 def test_a_misspelt_name_is_answered_with_the_nearest_one():

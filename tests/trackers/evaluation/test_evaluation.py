@@ -265,8 +265,8 @@ def test_a_condition_holds_or_does_not_or_is_refused(expression, outcome):
 
 
 def test_recordings_given_as_the_first_argument_are_refused_with_the_order_of_both():
-    recording = tw.fix_recording(np.arange(3.0), np.zeros((3, 3)), truth=np.zeros((3, 3)))
-    estimates = tw.fix_tracker().run(recording)
+    recording = tw.baselines.fix_recording(np.arange(3.0), np.zeros((3, 3)), truth=np.zeros((3, 3)))
+    estimates = tw.baselines.fix_tracker().run(recording)
     for wrong, found in ((estimates, "Estimates"), ([], "nothing"), (3, "int"), ([recording, "a"], "str")):
         with pytest.raises(UnusableInput, match=rf"found {found}; expected recordings .*evaluate\(estimates, rec"):
             evaluate(recording, wrong)
@@ -275,10 +275,10 @@ def test_recordings_given_as_the_first_argument_are_refused_with_the_order_of_bo
 def test_recordings_of_one_name_are_told_apart_by_their_place():
     def still(offset, **named):
         place = np.tile([offset, 0.0, 0.0], (20, 1))
-        return tw.fix_recording(0.1 * np.arange(20), place + 0.005, truth=place, **named)
+        return tw.baselines.fix_recording(0.1 * np.arange(20), place + 0.005, truth=place, **named)
 
     unnamed, named = [still(0.0), still(5.0)], [still(0.0, name="a"), still(5.0, name="b")]
-    tracker = tw.fix_tracker()
+    tracker = tw.baselines.fix_tracker()
     found, expected = (evaluate(tracker.run(own), own) for own in (unnamed, named))
     assert found["rmse_m"] == expected["rmse_m"] < 0.05
     assert [one["recording"] for one in found.recordings] == ["recording", "recording 2"]

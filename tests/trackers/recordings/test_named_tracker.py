@@ -67,7 +67,7 @@ def test_a_fit_by_name_returns_the_tracker_by_name_with_other_values(tracker, fo
         ("trajectories=lambda folder: []", "trajectories failed (TypeError: <lambda>() takes 1 positional argument"),
         ("planar=lambda trajectory, free_height: trajectory.hight", "planar failed (AttributeError in line 4: "),
         ("build=lambda trajectory, planar: {}[planar]", "build failed (KeyError in line 4: "),
-        ("build=lambda t, planar: tw.range_tracker(3)", "found readings of fixes; expected 'ranges'"),
+        ("build=lambda t, planar: tw.uwb_imu.range_tracker(3)", "found readings of fixes; expected 'ranges'"),
         ("build=lambda t, p: dataclasses.replace(F.build(t, p), motion=None)", "run failed (AttributeError"),
     ],
 )

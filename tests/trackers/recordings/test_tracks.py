@@ -64,21 +64,6 @@ def test_a_line_holds_the_sums_over_all_rows_of_its_time(one_noisy):
     assert 4 * 2 * 57 <= table["nis_dof"].sum() <= 4 * 2 * 60
 
 
-def test_a_line_has_each_covariance_once_beside_positions_and_velocities(one_noisy):
-    tracker = tw.build("uwb", one_noisy)
-    table = tracker.run(one_noisy).table.filter(tag="a")
-    positions = [f"{axis}_m" for axis in "xyz"] + [f"std_{axis}_m" for axis in "xyz"]
-    covariances = ["cov_xy_m2", "cov_xz_m2", "cov_yz_m2"]
-    velocities = ["vx_mps", "vy_mps", "vz_mps"]
-    before, after = ["recording", "tag", "t_s"], [*STEP_COLUMNS, "wrapped", "status"]
-    assert table.columns == [*before, *positions, *covariances, *velocities, *after]
-    (trajectory,) = (t for t in tracker.batches(one_noisy)[0].trajectories if t.tag == "a")
-    cov = tracker.batches(one_noisy)[0].tracker.run(trajectory.recording).marginal("position")[-1]
-    last = table.tail(1)
-    assert last.select(covariances).row(0) == pytest.approx((cov[0, 1], cov[0, 2], cov[1, 2]), rel=1e-12)
-    assert last.select(positions[3:]).row(0) == pytest.approx(np.sqrt(np.diag(cov)), rel=1e-12)
-
-
 def test_evaluate_and_a_study_find_the_same_nis_ratio_and_errors(one_noisy):
     study = Study(
         name="noisy",

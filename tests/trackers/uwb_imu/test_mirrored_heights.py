@@ -68,8 +68,8 @@ def test_arrays_take_the_side_too():
     anchors, times = np.array([*MIDDLE[0].rig.anchors.values()]), np.arange(0.0, SECONDS, 0.1)
     ranges = MIDDLE[0].tables["ranges"]["range_m"].to_numpy().reshape(-1, 6)
     for side, sign in (("above", 1.0), ("below", -1.0)):
-        recording = tw.range_recording(times, ranges, anchors, side=side)
-        heights = np.asarray(tw.range_tracker(6).run(recording).mean.position[2])
+        recording = tw.uwb_imu.range_recording(times, ranges, anchors, side=side)
+        heights = np.asarray(tw.uwb_imu.range_tracker(6).run(recording).mean.position[2])
         assert sign * (heights[-1] - 1.3) > 0.0
 
 

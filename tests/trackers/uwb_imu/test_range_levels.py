@@ -71,7 +71,7 @@ def _walks(time_constant, length):
         truth[:, row] = np.column_stack([position, np.full(RUNS, HEIGHT)])
         ranges[:, row] = np.linalg.norm(truth[:, row] - ANCHORS[k], axis=1) + bias[:, k] + 0.05 * rng.normal(size=RUNS)
     times = np.arange(ROWS) * DT
-    recordings = [tw.range_recording(times, z, ANCHORS, anchor=number, height=HEIGHT) for z in ranges]
+    recordings = [tw.uwb_imu.range_recording(times, z, ANCHORS, anchor=number, height=HEIGHT) for z in ranges]
     return recordings, truth[:, :, :2]
 
 
@@ -87,6 +87,6 @@ def _inside(tracker, recordings, truth):
 def test_smoothed_ellipses_of_a_calibrated_site_hold_the_truth_whatever_the_biases_time_scale():
     """Biases that last for 2 to 30 s and 0.5 to 1.5 m: inside 93 to 97 %."""
     levels = range_levels(Calibration(anchors={"A": ANCHOR}, range_spread=SPREAD))
-    tracker = tw.Smoothed(tw.range_tracker(4, planar=True, **levels))
+    tracker = tw.Smoothed(tw.uwb_imu.range_tracker(4, planar=True, **levels))
     for scales in ((2.0, 0.5), (5.0, 1.5), (30.0, 0.8)):
         assert 0.93 < _inside(tracker, *_walks(*scales)) < 0.97, scales

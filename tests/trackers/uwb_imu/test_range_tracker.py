@@ -66,7 +66,3 @@ def test_the_covariance_is_consistent_where_the_world_is_the_model():
     nees = np.einsum("ri,rij,rj->r", errors, np.linalg.inv(cov), errors)
     # The mean of 300 chi-squared numbers of 4 degrees of freedom: 4 ± 3 √(8/300); linearising adds a few per cent.
     assert 3.5 < nees.mean() < 4.7
-
-
-def test_with_too_many_anchors_the_state_has_only_the_bias_that_they_share():
-    assert [range_tracker(anchors, True).motion.biases for anchors in (16, 17)] == [16, 0]

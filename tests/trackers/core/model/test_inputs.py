@@ -12,7 +12,7 @@ import pytest
 
 from tests.catalogue import CASES, SENSORS
 from trackwright.trackers.aoa.cascade import Cascade
-from trackwright.trackers.core.data.recording import stack
+from trackwright.trackers.core.data.recording import Batch, stack
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.inputs import Input, Need
 from trackwright.trackers.core.model.sensor import Row
@@ -20,9 +20,8 @@ from trackwright.trackers.core.run.requirements import Layout
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 
 PAGE = Path(__file__).parents[4] / "docs/inputs.md"
+SLOW = (pytest.mark.slow,)
 FORWARD = {name: case for name, case in CASES.items() if "smoothed" not in name}
-RECURSIVE = [name for name, case in FORWARD.items() if isinstance(case.tracker(), Tracker)]
-OTHERS = [name for name in FORWARD if name not in RECURSIVE]
 
 
 class Spy(dict):
@@ -56,10 +55,7 @@ def _inputs(part: Any) -> tuple[Input, ...]:
     return getattr(part, "inputs", ())
 
 
-@pytest.mark.parametrize("name", RECURSIVE)
-def test_a_recursive_tracker_reads_the_inputs_that_its_parts_declare(name):
-    tracker: Any = FORWARD[name].tracker()
-    batch = stack([FORWARD[name].recordings()[0]])
+def _parts_read_what_they_declare(tracker: Any, batch: Batch) -> None:
     dt, valid, readings = jax.tree_util.tree_map(
         lambda x: np.asarray(x)[0, ..., 0], (batch.dt, batch.valid, batch.readings)
     )
@@ -91,14 +87,19 @@ def test_a_recursive_tracker_reads_the_inputs_that_its_parts_declare(name):
         assert {one.name for one in inputs if one.need in always} <= read, reader
 
 
-@pytest.mark.parametrize("name", OTHERS)
-def test_any_other_tracker_runs_with_the_inputs_that_its_parts_declare_alone(name):
-    tracker, recording = FORWARD[name].tracker(), FORWARD[name].recordings()[0]
-    batch = stack([recording]).rows(slice(0, 3))
+def _runs_with_what_is_declared(tracker: AbstractTracker, batch: Batch) -> None:
     declared = {one.name for part in _readers(tracker) for one in _inputs(part)}
-    batch = batch._replace(inputs={key: x for key, x in batch.inputs.items() if key in declared})
+    batch = batch._replace(inputs={key: x for key, x in batch.inputs.items() if key in declared}).rows(slice(0, 3))
     tracker.check_layout(Layout.of_batch(batch))
     jax.eval_shape(lambda: tracker.scan(batch))
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, id=name, marks=SLOW * name.endswith(" in space")) for name, case in FORWARD.items()]
+)
+def test_a_tracker_reads_the_inputs_that_its_parts_declare(case):
+    tracker, batch = case.tracker(), stack([case.recordings()[0]])
+    (_parts_read_what_they_declare if isinstance(tracker, Tracker) else _runs_with_what_is_declared)(tracker, batch)
 
 
 @pytest.mark.parametrize("name", SENSORS)

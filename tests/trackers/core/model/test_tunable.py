@@ -15,7 +15,6 @@ from trackwright.trackers.core.model.tunable import (
     Real,
     Scale,
     Threshold,
-    is_tunable,
     matching,
     replaced,
     tunables,
@@ -93,18 +92,6 @@ def test_any_raw_numbers_are_a_covariance(raw):
 def test_a_value_that_a_tunable_cannot_have_is_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
-
-
-def test_tunables_have_dotted_names_in_the_order_of_the_tree():
-    names = [
-        "motion.sigma_a",
-        "sensors.north.sigma_p",
-        "sensors.north.offsets",
-        "sensors.south.sigma_p",
-        "sensors.south.offsets",
-    ]
-    assert list(tunables(TREE)) == names
-    assert all(is_tunable(node) for node in tunables(TREE).values())
 
 
 def test_patterns_choose_by_name():

@@ -19,7 +19,7 @@ import jax
 before = dict(os.environ), dict(jax.config.values)
 import numpy as np, trackwright as tw
 assert dict(os.environ) == before[0]
-tw.fix_tracker(planar=True).run(tw.fix_recording(np.arange(9.0), np.zeros((9, 2)), height=1.0))
+tw.baselines.fix_tracker(planar=True).run(tw.baselines.fix_recording(np.arange(9.0), np.zeros((9, 2)), height=1.0))
 assert "XLA_FLAGS" not in os.environ and dict(jax.config.values) == before[1]
 """
 
@@ -33,12 +33,12 @@ def test_an_import_and_a_run_change_no_setting_of_other_programs():
 
 def _recording(rows):
     walk = np.cumsum(np.random.default_rng(3).normal(0, 0.1, (rows, 2)), axis=0)
-    return tw.fix_recording(np.arange(rows) * 0.5, walk, height=1.0)
+    return tw.baselines.fix_recording(np.arange(rows) * 0.5, walk, height=1.0)
 
 
 def _call(what, rows):
     """A call of a program of one recording with these rows."""
-    tracker, recording = tw.fix_tracker(planar=True), _recording(rows)
+    tracker, recording = tw.baselines.fix_tracker(planar=True), _recording(rows)
     if what == "run":
         return lambda: tracker.run(recording)
     batch = jax.tree_util.tree_map(jnp.asarray, tw.stack([recording])._replace(truth={}))

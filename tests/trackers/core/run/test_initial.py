@@ -17,23 +17,25 @@ SIGMA_A, SIGMA = 0.7, 0.2
 
 
 def _tracker(filter=None):
-    start = tw.fix_tracker(planar=True).start
-    sensors = {FIXES: tw.FixSensor(SIGMA, SIGMA)}
-    return tw.Tracker(tw.ConstantVelocity(SIGMA_A, 2), sensors, start, filter or tw.ExtendedKalman(), NEVER_LOST)
+    start = tw.baselines.fix_tracker(planar=True).start
+    sensors = {FIXES: tw.parts.FixSensor(SIGMA, SIGMA)}
+    return tw.Tracker(
+        tw.parts.ConstantVelocity(SIGMA_A, 2), sensors, start, filter or tw.parts.ExtendedKalman(), NEVER_LOST
+    )
 
 
 def _recording(rows=20, seed=0, id=None, begin=0.0):
     rng = np.random.default_rng(seed)
     times = begin + np.cumsum(rng.uniform(0.05, 0.3, rows))
     position = np.stack([0.5 * times, np.sin(times), np.ones(rows)], axis=1) + SIGMA * rng.normal(size=(rows, 3))
-    recording = tw.fix_recording(times, position, height=1.0)
+    recording = tw.baselines.fix_recording(times, position, height=1.0)
     return dataclasses.replace(recording, id=id)
 
 
 def _prior(mean=(0.0, 0.0, 0.4, 0.8), spread=1.0):
     cov = spread * (np.eye(4) + 0.1)
     upper = tuple(cov[i, j] for i in range(4) for j in range(i, 4))
-    return tw.Gaussian(tw.Kinematic(tw.Vector(*mean[:2]), tw.Vector(*mean[2:])), upper), np.array(mean), cov
+    return tw.Gaussian(tw.parts.Kinematic(tw.Vector(*mean[:2]), tw.Vector(*mean[2:])), upper), np.array(mean), cov
 
 
 def test_a_run_from_a_given_belief_is_the_textbook_filter_from_that_prior():
@@ -53,30 +55,6 @@ def test_a_run_from_a_given_belief_is_the_textbook_filter_from_that_prior():
     # The known height is measured, too: a constant per row of the planar motion.
     z = -0.5 * ((fixes.values[:, 2] - 1.0) / SIGMA) ** 2 - np.log(SIGMA) - 0.5 * np.log(2 * np.pi)
     np.testing.assert_allclose(estimates.log_likelihood, lls + np.where(fixes.seen[:, 2], z, 0.0), rtol=1e-9, atol=1e-9)
-
-
-def test_each_recording_has_its_own_belief_or_all_have_one():
-    recordings = [_recording(12, k) for k in range(3)]
-    priors = [_prior((k, 0.0, 0.0, 0.0), 0.1)[0] for k in range(3)]
-    together = _tracker().run(recordings, initial=priors)
-    one = _tracker().run(recordings, initial=priors[1])
-    for k in range(3):
-        alone = _tracker().run(recordings[k], initial=priors[k])
-        np.testing.assert_allclose(flat(together[k].mean), flat(alone.mean), rtol=1e-12)
-    np.testing.assert_allclose(flat(one[1].mean), flat(together[1].mean), rtol=1e-12)
-    assert not np.allclose(flat(one[0].mean)[:3], flat(together[0].mean)[:3])
-
-
-def test_one_trajectory_of_several_continues_alone():
-    recordings = [_recording(9, k) for k in range(2)]
-    later = _recording(5, 7, begin=recordings[1].times[-1])
-    final = _tracker().run(recordings)[1].final
-    both = _tracker().run([later, later], initial=tw.TrackerState(
-        jax.tree_util.tree_map(lambda x: np.repeat(x, 2, axis=0), final.state), np.repeat(final.times, 2)
-    ))  # fmt: skip
-    alone = _tracker().run(later, initial=final)
-    np.testing.assert_allclose(flat(both[0].mean), flat(alone.mean), rtol=1e-12)
-    assert alone.status[0] == tw.Status.OK
 
 
 @pytest.mark.parametrize(
@@ -109,7 +87,7 @@ def test_a_run_inside_a_transformation_names_the_pure_function():
     recording = _recording(5)
 
     def error(sigma):
-        tracker = dataclasses.replace(_tracker(), motion=tw.ConstantVelocity(Constant(sigma), 2))
+        tracker = dataclasses.replace(_tracker(), motion=tw.parts.ConstantVelocity(Constant(sigma), 2))
         return tracker.run(recording).mean.position[0][-1]
 
     with pytest.raises(TypeError, match=r"traced values.*trackwright.filter_batch"):

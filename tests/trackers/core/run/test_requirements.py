@@ -83,7 +83,7 @@ def _recording(readings, inputs=None, **numbers):
 
 def _ranges(**changed):
     """A recording of ranges with some of its inputs changed, or left out where they are None."""
-    whole = tw.range_recording(TIMES, DISTANCES, ANCHORS)
+    whole = tw.uwb_imu.range_recording(TIMES, DISTANCES, ANCHORS)
     inputs = {name: x for name, x in (dict(whole.inputs) | changed).items() if x is not None}
     return tw.Recording(whole.times, whole.readings, inputs, name="lab")
 
@@ -91,6 +91,7 @@ def _ranges(**changed):
 FOLDER = tw.simulate.agv(n=1, seed=1, rows=10)
 FIXES = tw.Readings(PATH, np.ones(PATH.shape, bool))
 NAMES: dict[str, Any] = {
+    **{name: getattr(module, name) for module in (tw.aoa, tw.baselines, tw.uwb_imu) for name in module.__all__},
     "tw": tw,
     "np": np,
     "station": STATIONS["1"],
@@ -100,56 +101,56 @@ NAMES: dict[str, Any] = {
     "anchors": ANCHORS,
     "distances": DISTANCES,
     "phases": PHASES,
-    "ranges": tw.range_recording(TIMES, DISTANCES, ANCHORS, name="lab"),
-    "fixes": tw.fix_recording(TIMES, PATH, name="hall"),
-    "all_phases": tw.phase_recording(TIMES, dict.fromkeys(STATIONS, PHASES), name="station"),
+    "ranges": tw.uwb_imu.range_recording(TIMES, DISTANCES, ANCHORS, name="lab"),
+    "fixes": tw.baselines.fix_recording(TIMES, PATH, name="hall"),
+    "all_phases": tw.aoa.phase_recording(TIMES, dict.fromkeys(STATIONS, PHASES), name="station"),
     "folder": FOLDER.folder(),
     "table": pl.DataFrame({"t_s": TIMES, "x_m": PATH[:, 0]}),
     "changed": _ranges,
     "recording": _recording,
     "readings": FIXES,
-    "car": tw.Tracker(Car(), {"fixes": tw.FixSensor(0.1, 0.1)}, Parked()),
-    "misspelt": tw.Tracker(Car(), {"fixes": tw.FixSensor(0.1, 0.1)}, ParkedAtFix()),
+    "car": tw.Tracker(Car(), {"fixes": tw.parts.FixSensor(0.1, 0.1)}, Parked()),
+    "misspelt": tw.Tracker(Car(), {"fixes": tw.parts.FixSensor(0.1, 0.1)}, ParkedAtFix()),
     "declared": tw.Tracker(Car(), {"wheel": Odometer()}, Parked()),
     "turns": tw.Readings(np.zeros((ROWS, 1)), np.ones((ROWS, 1), bool)),
 }
 
 MISTAKES = [
-    ("tw.fix_tracker().run('my-folder')", "found str; expected a Recording", "`folder = tw.read(path)`"),
-    ("tw.fix_tracker().run(folder)", "found RecordingFolder; expected a Recording", "`tw.tracker_for(folder)`"),
-    ("tw.fix_tracker().run(table)", "found DataFrame; expected a Recording", "a recording of its columns"),
-    ("tw.fix_tracker().run(path)", "found ndarray; expected a Recording", "by `fix_rec"),
+    ("fix_tracker().run('my-folder')", "found str; expected a Recording", "`folder = tw.read(path)`"),
+    ("fix_tracker().run(folder)", "found RecordingFolder; expected a Recording", "`tw.tracker_for(folder)`"),
+    ("fix_tracker().run(table)", "found DataFrame; expected a Recording", "a recording of its columns"),
+    ("fix_tracker().run(path)", "found ndarray; expected a Recording", "by `fix_rec"),
     (
         "tw.tracker_for(folder).run(fixes)",
         "found Recording; expected one or more recording folders",
         "`range_tracker(4",
     ),
     (
-        "tw.beam_tracker(station, '1').run(tw.phase_recording(times, {'phases': phases}))",
+        "beam_tracker(station, '1').run(phase_recording(times, {'phases': phases}))",
         "found readings of phases; expected '1', which sensor '1' (PlanePhases) reads",
     ),
     (
-        "tw.beam_tracker(station, '1').run(tw.phase_recording(times, {'1': phases[:, :7]}))",
+        "beam_tracker(station, '1').run(phase_recording(times, {'1': phases[:, :7]}))",
         "readings['1'] has 7 channels; expected the 8 of sensor '1' (PlanePhases), phase_1 … phase_8, rad",
     ),
-    ("tw.trilateration_tracker().run(ranges)", "readings['ranges'] has 1 channel; expected the 3 of Trilateration"),
+    ("trilateration_tracker().run(ranges)", "readings['ranges'] has 1 channel; expected the 3 of Trilateration"),
     (
-        "tw.fix_tracker().run(recording({'fixes': tw.Readings(path, path > 0, np.full((30, 2), 0.1))}))",
+        "fix_tracker().run(recording({'fixes': tw.Readings(path, path > 0, np.full((30, 2), 0.1))}))",
         "readings['fixes'].reported has 2 columns; expected the 3 of sensor 'fixes' (FixSensor), variance_x, variance_y",
     ),
-    ("tw.fix_tracker().run([fixes, ranges])", "recording 0 ('hall') and missing in recording 1 ('lab')"),
-    ("tw.range_tracker(4, planar=True).run(ranges)", "recording 'lab': no input 'height', found anchors, anchor,"),
-    ("tw.direct_tracker(stations, planar=True).run(all_phases)", "recording 'station': no input 'height'"),
+    ("fix_tracker().run([fixes, ranges])", "recording 0 ('hall') and missing in recording 1 ('lab')"),
+    ("range_tracker(4, planar=True).run(ranges)", "recording 'lab': no input 'height', found anchors, anchor,"),
+    ("direct_tracker(stations, planar=True).run(all_phases)", "recording 'station': no input 'height'"),
     (
-        "tw.range_tracker(2).run(ranges)",
+        "range_tracker(2).run(ranges)",
         "is 3 in a row; expected 0 to 1, since sensor 'ranges' (RangeSensor) is built for 2",
     ),
-    ("tw.range_tracker(4).run(changed(nearby=None))", "no input 'nearby'", "which the start (BiasedStart) reads"),
+    ("range_tracker(4).run(changed(nearby=None))", "no input 'nearby'", "which the start (BiasedStart) reads"),
     (
-        "tw.range_tracker(4).run(changed(anchors=np.tile(anchors.ravel(), (120, 1))))",
+        "range_tracker(4).run(changed(anchors=np.tile(anchors.ravel(), (120, 1))))",
         "inputs['anchors'] has rows of shape (12,); expected rows of shape (3,) m, x, y, z of the anchor of each slot",
     ),
-    ("tw.inertial_tracker(4).run(ranges)", "no input 'accel'", "which the motion (Strapdown) reads"),
+    ("inertial_tracker(4).run(ranges)", "no input 'accel'", "which the motion (Strapdown) reads"),
     (
         "declared.run(recording({'wheel': turns}))",
         "no input 'wheel', found none; expected one number per row, m, the rad",
@@ -160,14 +161,14 @@ MISTAKES = [
         "the view of Car has position; expected 'velocity', which sensor 'fixes'",
     ),
     (
-        "tw.fix_tracker().run(tw.stack([fixes])._replace(inputs={'height': np.ones(1)}))",
+        "fix_tracker().run(tw.stack([fixes])._replace(inputs={'height': np.ones(1)}))",
         "inputs['height'] has shape (1,); expected (30, …, 1), rows first and trajectories last as `dt`",
     ),
-    ("tw.Smoothed(tw.fix_tracker()).run(ranges)", "recording 'lab': found readings of ranges; expected 'fixes'"),
+    ("tw.Smoothed(fix_tracker()).run(ranges)", "recording 'lab': found readings of ranges; expected 'fixes'"),
     ("tw.fit(tw.tracker_for(folder), fixes, 'nll')", "found Recording; expected one or more recording folders"),
-    ("tw.fit(fixes, tw.fix_tracker(), 'nll')", "fit: found Recording for the tracker; expected a tracker"),
-    ("tw.fit(tw.fix_tracker(), fixes, 'rmes')", "'rmes' is no objective; expected some of nll, "),
-    ("tw.fit(tw.fix_tracker(), fixes, 'nll+0.1*rmse')", "the recordings have no known truth; expected some, which"),
+    ("tw.fit(fixes, fix_tracker(), 'nll')", "fit: found Recording for the tracker; expected a tracker"),
+    ("tw.fit(fix_tracker(), fixes, 'rmes')", "'rmes' is no objective; expected some of nll, "),
+    ("tw.fit(fix_tracker(), fixes, 'nll+0.1*rmse')", "the recordings have no known truth; expected some, which"),
 ]
 
 
@@ -195,8 +196,8 @@ def test_a_mistake_is_refused_in_one_sentence_before_anything_is_traced(mistake)
 
 @pytest.mark.slow
 def test_one_recording_several_and_a_batch_are_fitted_alike():
-    recording = tw.fix_recording(TIMES, PATH + 0.1 * np.random.default_rng(0).normal(size=PATH.shape))
-    tracker, options = tw.fix_tracker(dof=None), tw.FitOptions(steps=2)
+    recording = tw.baselines.fix_recording(TIMES, PATH + 0.1 * np.random.default_rng(0).normal(size=PATH.shape))
+    tracker, options = tw.baselines.fix_tracker(dof=None), tw.FitOptions(steps=2)
     alike = [recording, [recording], (r for r in [recording]), stack([recording]), [stack([recording])]]
     values = [tw.fit(tracker, given, "nll", "sensors.fixes.sigma_horizontal", options).value for given in alike]
     assert values == [values[0]] * len(alike)

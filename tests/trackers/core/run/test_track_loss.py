@@ -26,7 +26,7 @@ def _recording(eastward):
     path[away, 0] += eastward[away]
     rng = np.random.default_rng(0)
     ranges = np.linalg.norm(path[:, None] - ANCHORS, axis=2) + 0.05 * rng.standard_t(3, (len(TIMES), 4))
-    return tw.range_recording(TIMES, ranges, ANCHORS, height=1.1), np.repeat(path, 4, axis=0)
+    return tw.uwb_imu.range_recording(TIMES, ranges, ANCHORS, height=1.1), np.repeat(path, 4, axis=0)
 
 
 def _never(tracker):
@@ -56,7 +56,7 @@ def test_the_room_is_the_outline_or_wider_than_the_anchors_by_its_longer_side_an
 @pytest.mark.parametrize("together", [1, pytest.param(9, marks=pytest.mark.slow)])
 def test_a_track_three_standard_deviations_outside_the_room_is_lost_and_starts_again_where_ranges_agree(together):
     recording, path = _recording(5.0 * (TIMES - AWAY_S))
-    tracker = _never(tw.range_tracker(4, planar=True))
+    tracker = _never(tw.uwb_imu.range_tracker(4, planar=True))
     free = tracker.run([_without_room(recording)] * together)[together - 1]
     kept = tracker.run([recording] * together)[together - 1]
     x, sigma = np.asarray(free.mean.position[0]), free.sigmas["position.0"]
@@ -81,7 +81,7 @@ def _log_densities(recording, places):
 
 def test_a_track_is_lost_where_the_evidence_for_another_place_passes_the_limit_and_starts_again_there():
     recording, path = _recording(np.full(len(TIMES), 5.0))
-    tracker = tw.range_tracker(4, planar=True)
+    tracker = tw.uwb_imu.range_tracker(4, planar=True)
     free, kept = _never(tracker).run(recording), tracker.run(recording)
     policy, nearby = tracker.track_loss, recording.inputs[NEARBY.name]
     log_width = np.log(policy.width.value)

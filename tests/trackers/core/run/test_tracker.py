@@ -88,6 +88,6 @@ def test_with_the_position_alone_estimates_have_its_covariance_and_nothing_else_
 def test_a_trajectory_keeps_its_bits_where_others_alone_are_seen():
     times, places = 0.1 * np.arange(20), 5e3 + 0.01 * np.random.default_rng(0).normal(size=(20, 3))
     gaps = np.where(np.arange(20)[:, None] % 2 == 0, places, np.nan)
-    mine, every, same = (tw.fix_recording(times, x) for x in (gaps, places, gaps))
-    covariances = [tw.fix_tracker().run([mine, other])[0].covariance for other in (every, same)]
+    mine, every, same = (tw.baselines.fix_recording(times, x) for x in (gaps, places, gaps))
+    covariances = [tw.baselines.fix_tracker().run([mine, other])[0].covariance for other in (every, same)]
     np.testing.assert_array_equal(*covariances)

@@ -82,8 +82,8 @@ def _gated_errors(path, ranges):
 
 def _tracked(path, ranges):
     """Errors (worlds, EPOCHS), m, of `range_tracker`, and whether its track starts again in an epoch."""
-    recordings = [tw.range_recording(TIMES, z, ANCHORS, height=HEIGHT) for z in ranges]
-    estimates = tw.range_tracker(len(ANCHORS), planar=True).run(recordings)
+    recordings = [tw.uwb_imu.range_recording(TIMES, z, ANCHORS, height=HEIGHT) for z in ranges]
+    estimates = tw.uwb_imu.range_tracker(len(ANCHORS), planar=True).run(recordings)
     by_epoch = (len(path), EPOCHS, len(ANCHORS))
     position = np.stack([np.asarray(p).reshape(by_epoch)[..., -1] for p in estimates.mean.position], axis=-1)
     restarted = (np.asarray(estimates.status) == tw.Status.RESTARTED).reshape(by_epoch).any(axis=2)

@@ -160,7 +160,14 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "rounded": Case("warning", "equal the previous row of the same tag and sensor", with_columns("tdoa", TD.round(0)), False),
     }),
 }  # fmt: skip
-MISTAKES = [(world, name) for world, (_, cases) in WORLDS.items() for name in cases]
+SLOW = {"azimuths alone, of another sign", "places in millimetres", "x and y of the places"}
+"""Mistakes of a kind that another one shows, and whose fits take seconds."""
+
+MISTAKES = [
+    pytest.param(world, name, marks=pytest.mark.slow if name in SLOW else ())
+    for world, (_, cases) in WORLDS.items()
+    for name in cases
+]
 
 
 @pytest.mark.parametrize(("world", "name"), MISTAKES)
