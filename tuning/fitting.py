@@ -234,6 +234,7 @@ def fit(
     driver = MultiStart(problem, optimiser, options.steps, low, high, scoring)
     if progress.resume is not None:
         state = from_arrays(optimiser, progress.resume)
+        problem.filter_runs = int(state.filter_runs)
     else:
         state = initial_state(driver, flatten(parameters), options.starts)
     interrupted = False
@@ -266,22 +267,21 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     """The result at the best point met, after a few Newton steps of a likelihood."""
     problem, parameters = driver.problem, driver.problem.parameters
     winner, start = int(np.argmin(state.best_scores)), state.past_vectors[0, 0]
-    (vector, vectors), uncertainty = _best_vector(problem, state, winner), None
+    vector, uncertainty = _best_vector(problem, state, winner), None
     if interrupted:
-        last, vectors = problem.evaluate(vector), vectors + 1
+        last = problem.evaluate(vector)
     else:
-        best, more = newton(driver, vector)
-        vector, last, vectors = best.vector, best.evaluation, vectors + more
-        bound, hidden = driver.at_bound(vector, best.gradient), driver.low == driver.high
+        best = newton(driver, vector)
+        bound, hidden = driver.at_bound(best.vector, best.gradient), driver.low == driver.high
         uncertainty = uncertainty_at(problem, best, bound, hidden)
-        kept = None
         # A point that others select is no optimum, and its curvature shows nothing.
         if driver.held_out is None and not best.prior.any():
-            kept = kept_at_start(problem, uncertainty, start, float(state.past_values[0, 0]) - best.value)
-        if kept is not None and kept.at_start.any():
-            best = optimum(problem, kept.vector)
-            vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + 2 * len(vector) + 1
-            uncertainty = uncertainty_at(problem, best, bound, kept.at_start | hidden)
+            gain = float(state.past_values[0, 0]) - best.value
+            kept, at_start = kept_at_start(problem, uncertainty, start, gain)
+            if at_start.any():
+                best = optimum(problem, kept)
+                uncertainty = uncertainty_at(problem, best, bound, at_start | hidden)
+        vector, last = best.vector, best.evaluation
     value = float(problem.finite_values(vector, last.terms)[0])
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     if not np.array_equal(vector, state.best_vectors[winner]):
@@ -294,7 +294,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         problem=problem,
         vector=vector,
         evaluation=last,
-        filter_runs=int(state.filter_runs) + vectors * problem.n_trajectories,
+        filter_runs=driver.filter_runs,
         uncertainty=uncertainty,
         before=with_parameters(tracker, parameters, start),
         limits=(driver.low, driver.high),
@@ -305,22 +305,22 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     )
 
 
-def _best_vector(problem: Problem, state: FitState, winner: int) -> tuple[Float[np.ndarray, " p"], int]:
+def _best_vector(problem: Problem, state: FitState, winner: int) -> Float[np.ndarray, " p"]:
     """The winner's best point, with the tracker's own values for parameters that have no effect on these recordings.
 
-    Other recordings may depend on them. Second: the number of vectors evaluated.
+    Other recordings may depend on them.
     """
     vector, (start, first) = state.best_vectors[winner], state.past_vectors[0, [0, winner]]
     if np.array_equal(start, first):
-        return vector, 0
+        return vector
     evaluation = problem.evaluate(vector)
     no_effect = unidentifiable(evaluation.term_gradients) & (start != first)
     if not no_effect.any():
-        return vector, 1
+        return vector
     restored = np.where(no_effect, start, vector)
     other = problem.finite_values(restored, problem.evaluate(restored).terms)
     as_good = other[0] <= problem.finite_values(vector, evaluation.terms)[0]
-    return restored if as_good else vector, 2
+    return restored if as_good else vector
 
 
 def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list[Step]:

@@ -360,14 +360,6 @@ ROUNDS = 8
 """Steps of the other numbers with one at its starting value."""
 
 
-class Kept(NamedTuple):
-    """A vector (p,), which of its numbers (p,) are at their starting values, and the number of vectors evaluated."""
-
-    vector: Float[np.ndarray, " p"]
-    at_start: Bool[np.ndarray, " p"]
-    vectors: int
-
-
 def flat_components(uncertainty: Uncertainty) -> list[int]:
     """The numbers along which the objective is flat at the point, each by itself, those with least effect first."""
     groups = loose_groups(uncertainty, ~unused(uncertainty.parameters) & ~uncertainty.at_bound)
@@ -400,13 +392,15 @@ def loose_groups(uncertainty: Uncertainty, free: Bool[np.ndarray, " p"]) -> dict
     return groups
 
 
-def kept_at_start(problem: Problem, uncertainty: Uncertainty, start: Float[np.ndarray, " p"], gain: float) -> Kept:
-    """The optimum with its flat numbers at their values of `start` (p,), and the others fitted again.
+def kept_at_start(
+    problem: Problem, uncertainty: Uncertainty, start: Float[np.ndarray, " p"], gain: float
+) -> tuple[Float[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
+    """The optimum with its flat numbers at their values of `start` (p,), and the others fitted again; which (p,) are.
 
     Flat are numbers along which the objective has no curvature at the optimum, or hardly any. One keeps its starting
     value where that costs less than `NATS` of a likelihood, or `PART` of the `gain` of the fit of another objective.
     """
-    vector, kept, vectors = uncertainty.optimum.vector, np.zeros(len(start), bool), 0
+    vector, kept = uncertainty.optimum.vector, np.zeros(len(start), bool)
     nats = uncertainty.optimum.nats_per_unit
     limit = uncertainty.optimum.value + (NATS / nats if np.isfinite(nats) else PART * gain)
     for component in flat_components(uncertainty):
@@ -415,7 +409,6 @@ def kept_at_start(problem: Problem, uncertainty: Uncertainty, start: Float[np.nd
         fixed = kept | (np.arange(len(start)) == component)
         trial, used = np.where(fixed, start, vector)[None], uncertainty.optimum.used[None].astype(float)
         refitted = refit(problem, trial, uncertainty.optimum.hessian, ~(uncertainty.at_bound | fixed), used, ROUNDS)
-        vectors += ROUNDS + 1
         if refitted.values[0] <= limit:
             vector, kept = refitted.vectors[0], fixed
-    return Kept(vector, kept, vectors)
+    return vector, kept

@@ -64,8 +64,7 @@ def tempered_anew(driver: MultiStart, state: FitState) -> FitState:
     again = initial_state(driver, vector, 1)
     while not driver.done(again):
         again = driver.step(again)
-    best = _with_best(state, winner, again.best_vectors[0], again.best_scores[0])
-    return best._replace(filter_runs=state.filter_runs + again.filter_runs)
+    return _with_best(state, winner, again.best_vectors[0], again.best_scores[0])
 
 
 def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str]) -> FitState:
