@@ -46,28 +46,15 @@ class InertialStart(AbstractNearbyStart):
     planar: bool = eqx.field(static=True)
     biases: int = eqx.field(static=True)
 
-    def __init__(
-        self,
-        planar: bool,
-        biases: int = 0,
-        sigma_position: float = 1.0,
-        sigma_height: float = 2.0,
-        sigma_velocity: float = 1.0,
-        sigma_tilt: float = 0.15,
-        sigma_yaw: float = 1.0,
-        sigma_accel_bias: float = 0.3,
-        sigma_gyro_bias: float = 0.03,
-        sigma_bias: float = 0.08,
-    ):
-        self.planar = planar
-        self.biases = biases
-        self.sigma_position = Scale(sigma_position, "m")
-        self.sigma_height = Scale(sigma_height, "m")
-        self.sigma_velocity = Scale(sigma_velocity, "m/s")
-        self.sigma_tilt = Scale(sigma_tilt, "rad")
-        self.sigma_yaw = Scale(sigma_yaw, "rad")
-        self.sigma_accel_bias = Scale(sigma_accel_bias, "m/s^2")
-        self.sigma_gyro_bias = Scale(sigma_gyro_bias, "rad/s")
+    def __init__(self, planar: bool, biases: int = 0, sigma_bias: float = 0.08):
+        self.planar, self.biases = planar, biases
+        self.sigma_position = Scale(1.0, "m")
+        self.sigma_height = Scale(2.0, "m")
+        self.sigma_velocity = Scale(1.0, "m/s")
+        self.sigma_tilt = Scale(0.15, "rad")
+        self.sigma_yaw = Scale(1.0, "rad")
+        self.sigma_accel_bias = Scale(0.3, "m/s^2")
+        self.sigma_gyro_bias = Scale(0.03, "rad/s")
         self.sigma_bias = Scale(sigma_bias, "m")
 
     @property
@@ -174,7 +161,7 @@ def inertial_difference_tracker(
     require(is_count(anchors), "inertial_difference_tracker", anchors, "the number of anchors, as len(rig.anchors)")
     drift = drift or BiasDrift(0.12, 20.0, 2.0)
     biases = anchors if anchors <= MAX_BIASES else 0
-    start = InertialStart(planar, biases, sigma_bias=float(drift.sigma_bias.value))
+    start = InertialStart(planar, biases, float(drift.sigma_bias.value))
     return _strapdown_tracker(
         {TDOA: RangeDifferenceSensor(slots, sigma_d, dof)}, start, noise or _noise(None), drift, yaws
     )

@@ -11,6 +11,7 @@ Without an accelerometer the acceleration is white noise; without a gyro the att
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -109,11 +110,6 @@ class ImuNoise(eqx.Module):
         walk = sigma_range_walk
         self.sigma_range_walk = None if walk is None else as_scale(walk, "m/sqrt(s)", "bias noise")
 
-    def walked(self, bias: Vector, dt: Scalar, w: Sequence[Scalar]) -> Vector:
-        """Biases of anchors `dt` s later, given a draw for each."""
-        assert self.sigma_range_walk is not None
-        return bias + Vector(*w) * (self.sigma_range_walk.value * jnp.sqrt(dt))
-
     def sigmas(self, inputs: Inputs, dt: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         """Standard deviations over `dt` of velocity m/s, attitude rad, accelerometer bias m/s² and gyro bias rad/s."""
         root = jnp.sqrt(dt)
@@ -126,7 +122,40 @@ class ImuNoise(eqx.Module):
         )
 
 
-class PlanarStrapdown(AbstractMotion):
+class AbstractStrapdown(AbstractMotion):
+    """A stage with the IMU's sample and the process noise, between two half steps at constant velocity."""
+
+    noise: eqx.AbstractVar[ImuNoise]
+    biases: eqx.AbstractVar[int]
+    drift: eqx.AbstractVar[BiasDrift | None]
+
+    @abstractmethod
+    def drive(self, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
+        """The stage in the middle."""
+
+    @property
+    def stages(self) -> Any:
+        return half_coast, self.drive, half_coast
+
+    def step(self, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
+        for stage in self.stages:
+            state = stage(state, inputs, dt, w)
+        return state
+
+    def at(self, belief: Any) -> AbstractStrapdown:
+        """The motion with the speed of this belief where its biases drift with the way covered."""
+        return self if self.drift is None else eqx.tree_at(lambda m: m.drift, self, self.drift.at(belief))
+
+    def biases_after(self, state: Any, dt: Scalar, w: Sequence[Scalar]) -> Vector:
+        """The biases of anchors `dt` s later, given a draw for each."""
+        if self.drift is not None and self.biases:
+            return self.drift.drifted(state, dt, w)
+        bias: Vector = state.bias
+        walk = self.noise.sigma_range_walk
+        return bias + Vector(*w) * (walk.value * jnp.sqrt(dt)) if walk is not None and self.biases else bias
+
+
+class PlanarStrapdown(AbstractStrapdown):
     """The paper's planar mechanisation in world axes; `noise`: of the IMU; `biases`: number of range biases.
 
     `drift`: how these drift, None for the random walk of `noise`.
@@ -141,9 +170,6 @@ class PlanarStrapdown(AbstractMotion):
     biases: int = eqx.field(static=True, default=0)
     drift: BiasDrift | None = None
 
-    def at(self, belief: Any) -> PlanarStrapdown:
-        return drifting_at(self, belief)
-
     @property
     def inputs(self) -> tuple[Input, ...]:
         return ACCEL, GYRO, IMU
@@ -152,15 +178,7 @@ class PlanarStrapdown(AbstractMotion):
     def noise_dimension(self) -> int:
         return 8 + self.biases
 
-    def step(self, state: PlanarInertial, inputs: Inputs, dt: Scalar, w: Vector) -> PlanarInertial:
-        return by_stages(self, state, inputs, dt, w)
-
-    @property
-    def stages(self) -> Any:
-        return half_coast, self.drive, half_coast
-
     def drive(self, state: PlanarInertial, inputs: Inputs, dt: Scalar, w: Vector) -> PlanarInertial:
-        """The stage with the IMU's sample and the process noise."""
         has_accel, has_gyro = imu_available(inputs)
         sigma_velocity, sigma_attitude, accel_walk, gyro_walk = self.noise.sigmas(inputs, dt)
         rate = jnp.where(has_gyro, inputs["gyro"][2] - state.gyro_bias, 0.0)
@@ -179,11 +197,11 @@ class PlanarStrapdown(AbstractMotion):
             state.accel_bias + Vector(*w.parts[4:6]) * accel_walk,
             Heading(state.attitude.angle + rate * dt + w[6] * sigma_attitude),
             state.gyro_bias + w[7] * gyro_walk,
-            biases_after(self, state, dt, w.parts[8:]),
+            self.biases_after(state, dt, w.parts[8:]),
         )
 
 
-class Strapdown(AbstractMotion):
+class Strapdown(AbstractStrapdown):
     """The mechanisation in three dimensions, world axes with z up (Solà 2017, section 5.2); `noise`: of the IMU.
 
     `gravity`: specific force at rest, m/s². Optional input `arm` (3,) m: the lever arm, from the IMU in body axes, of
@@ -204,9 +222,6 @@ class Strapdown(AbstractMotion):
         self.arm = Real(np.zeros(3), "m", typical=0.05)
         self.gravity = gravity if isinstance(gravity, Noise) else Real(gravity, "m/s^2", typical=0.1)
 
-    def at(self, belief: Any) -> Strapdown:
-        return drifting_at(self, belief)
-
     @property
     def inputs(self) -> tuple[Input, ...]:
         return ACCEL, GYRO, IMU, ARM
@@ -215,15 +230,7 @@ class Strapdown(AbstractMotion):
     def noise_dimension(self) -> int:
         return 15 + self.biases
 
-    def step(self, state: Inertial, inputs: Inputs, dt: Scalar, w: Vector) -> Inertial:
-        return by_stages(self, state, inputs, dt, w)
-
-    @property
-    def stages(self) -> Any:
-        return half_coast, self.drive, half_coast
-
     def drive(self, state: Inertial, inputs: Inputs, dt: Scalar, w: Vector) -> Inertial:
-        """The stage with the IMU's sample and the process noise."""
         has_accel, has_gyro = imu_available(inputs)
         sigma_velocity, sigma_attitude, accel_walk, gyro_walk = self.noise.sigmas(inputs, dt)
         rate = Vector.of(jnp.where(has_gyro, inputs["gyro"][k] - state.gyro_bias[k], 0.0) for k in range(3))
@@ -242,33 +249,13 @@ class Strapdown(AbstractMotion):
             turned,
             state.accel_bias + Vector(*w.parts[9:12]) * accel_walk,
             state.gyro_bias + Vector(*w.parts[12:15]) * gyro_walk,
-            biases_after(self, state, dt, w.parts[15:]),
+            self.biases_after(state, dt, w.parts[15:]),
         )
-
-
-def drifting_at(motion: Any, belief: Any) -> Any:
-    """The motion with the speed of this belief where its biases drift with the way covered."""
-    return motion if motion.drift is None else eqx.tree_at(lambda m: m.drift, motion, motion.drift.at(belief))
-
-
-def biases_after(motion: Any, state: Any, dt: Scalar, w: Sequence[Scalar]) -> Vector:
-    """The biases of anchors `dt` s later, given a draw for each."""
-    bias: Vector = state.bias
-    if motion.biases:
-        bias = motion.noise.walked(bias, dt, w) if motion.drift is None else motion.drift.drifted(state, dt, w)
-    return bias
 
 
 def imu_available(inputs: Inputs) -> tuple[Scalar, Scalar]:
     """Whether the row's accelerometer and its gyro are available."""
     return inputs["imu"][0] > 0.5, inputs["imu"][1] > 0.5
-
-
-def by_stages(motion: AbstractMotion, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
-    """A step as the composition of its stages."""
-    for stage in motion.stages:
-        state = stage(state, inputs, dt, w)
-    return state
 
 
 def half_coast(state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
