@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trackwright.trackers.baselines.fixes import fix_tracker, singer_tracker
+from trackwright.trackers.baselines.fixes import MovingWindow, fix_tracker, singer_tracker
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
@@ -118,16 +118,8 @@ def _unknown_latency(build: Callable[[Trajectory, bool], Tracker]) -> Callable[[
     )
 
 
-def _window(median: bool) -> Callable[[Trajectory, bool], AbstractTracker]:
-    def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-        from trackwright.trackers.baselines.fixes import MovingWindow
-
-        return MovingWindow(WINDOW, median=median, planar=planar)
-
-    return build
-
-
 _of_fixes = partial(TrackerSpec, lacks=lacks_fixes, trajectories=fix_trajectories)
+_window = partial(_of_fixes, every_row=(FIXES,))
 
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "floor-pf": partial(
@@ -148,7 +140,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_unknown_latency(_mirror),
         planar=lambda trajectory, free_height: False,
     ),
-    "moving-average": partial(_of_fixes, build=_window(median=False), every_row=(FIXES,)),
-    "median": partial(_of_fixes, build=_window(median=True), every_row=(FIXES,)),
+    "moving-average": partial(_window, build=lambda trajectory, planar: MovingWindow(WINDOW, False, planar)),
+    "median": partial(_window, build=lambda trajectory, planar: MovingWindow(WINDOW, True, planar)),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""
