@@ -213,18 +213,18 @@ def fit(
     """
     frozen, bounds, chunk = options.frozen, options.bounds, options.chunk
     data = fit_arrays(tracker, recordings, objective, options.held_out, options.dimensions)
-    model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
+    model, objective = data.tracker, data.objective
     tune = tuned_by_default(model, objective.needs_truth) if tune is None else tune
     parameters = select_parameters(model, tune, frozen)
     model = known(model, [name for parameter in parameters for name in parameter.names])
-    problem = Problem(model, batches, objective, parameters, chunk, data.weights)
-    names = data.recordings_of(problem)
+    problem = Problem(model, data.rows.batches, objective, parameters, chunk, data.rows.weights)
+    names = data.rows.recordings_of(problem)
     if objective.is_likelihood and not problem.stochastic:
         problem.discount = discount(problem, flatten(parameters), len({*names, ""}) - 1)
         problem.prior = Prior.of(parameters, options.prior)
     scoring = None
-    if apart:
-        scoring = Problem(model, apart, objective, parameters, chunk, data.held_out_weights)
+    if data.rows_apart.batches:
+        scoring = Problem(model, data.rows_apart.batches, objective, parameters, chunk, data.rows_apart.weights)
     low, high = limits(parameters, bounds)
     if (hidden := _hidden(parameters, objective)).any():
         low, high = (np.where(hidden, flatten(parameters), ends) for ends in (low, high))
@@ -399,8 +399,8 @@ def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float
         return replace(trajectory, recording=replace(recording, truth={quantity: (values, rest)}))
 
     for start, stop in pairwise(edges.tolist()):
-        part = replace(data, training=[hidden(trajectory) for trajectory in data.training])
-        problem = Problem(fitted.tracker, part.batches(), fitted.objective, fitted.parameters, weights=part.weights())
+        rows = replace(data, training=[hidden(trajectory) for trajectory in data.training]).rows
+        problem = Problem(fitted.tracker, rows.batches, fitted.objective, fitted.parameters, weights=rows.weights)
         problem.prior, problem.discount = fitted.prior, fitted.discount
         refitted = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
         vector = np.clip(refitted.vectors[0], *result.limits)
