@@ -466,8 +466,6 @@ def _inertial_motions() -> Iterator[tuple[str, MotionCase]]:
         inputs = {**_IMU, "imu": np.array(available)}
         yield f"planar strapdown{label}", MotionCase(PlanarStrapdown(_IMU_NOISE, biases=1), _LEVEL, inputs, 0.02)
         yield f"strapdown{label}", MotionCase(Strapdown(_IMU_NOISE, biases=1), _SPACE, inputs, 0.02)
-    inputs = {**_IMU, "imu": np.ones(2)}
-    yield "planar strapdown, transport", MotionCase(PlanarStrapdown(_IMU_NOISE, True, 1), _LEVEL, inputs, 0.02)
 
 
 _COUNTS = {"bearings": 2, "ranges": 1}

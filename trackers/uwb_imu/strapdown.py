@@ -160,13 +160,11 @@ class PlanarStrapdown(AbstractStrapdown):
 
     `drift`: how these drift, None for the random walk of `noise`.
 
-    With `transport` the velocity also changes by −ω × v, Kwon et al. 2021, equation (2). That term belongs to a
-    velocity in rotating axes; the paper adds it to a velocity that is integrated to a position in world axes, as does
-    this form, whose Jacobian is the corrected matrix (22).
+    The velocity does not change by −ω × v, as in Kwon et al. 2021, equation (2): that term belongs to a velocity in
+    rotating axes, and the paper adds it to one that is integrated to a position in world axes.
     """
 
     noise: ImuNoise
-    transport: bool = eqx.field(static=True, default=False)
     biases: int = eqx.field(static=True, default=0)
     drift: BiasDrift | None = None
 
@@ -187,8 +185,6 @@ class PlanarStrapdown(AbstractStrapdown):
         mid_heading = state.attitude.angle + rate * (0.5 * dt)
         cosine, sine = jnp.cos(mid_heading), jnp.sin(mid_heading)
         rotated = Vector(cosine * x - sine * y, sine * x + cosine * y)
-        if self.transport:
-            rotated = rotated + Vector(rate * state.velocity[1], -rate * state.velocity[0])
         acceleration = Vector.of(jnp.where(has_accel, a, 0.0) for a in rotated)
         position, velocity = accelerated(state.position, state.velocity, acceleration, dt, sigma_velocity, w)
         return PlanarInertial(
