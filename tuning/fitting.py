@@ -219,8 +219,9 @@ def fit(
     model = known(model, [name for parameter in parameters for name in parameter.names])
     problem = Problem(model, data.rows.batches, objective, parameters, chunk, data.rows.weights)
     names = data.rows.recordings_of(problem)
-    if objective.is_likelihood and not problem.stochastic:
-        problem.discount = discount(problem, flatten(parameters), len({*names, ""}) - 1)
+    likelihood, number = objective.is_likelihood and not problem.stochastic, len({*names, ""}) - 1
+    if likelihood:
+        problem.discount = discount(problem, flatten(parameters), number)
         problem.prior = Prior.of(parameters, options.prior)
     scoring = None
     if data.rows_apart.batches:
@@ -246,8 +247,12 @@ def fit(
     except KeyboardInterrupt:
         interrupted = True
     progress.stage("the best values so far" if interrupted else "intervals")
-    if not interrupted and scoring is None and problem.prior.precision.any():
+    flat = not problem.prior.precision.any()
+    if not (interrupted or flat or scoring):
         state = weighed_anew(driver, tempered_anew(driver, state), names)
+    elif flat and likelihood and not interrupted:
+        # It scales intervals alone. At levels that are far off errors are correlated that are not at the fitted ones.
+        problem.discount = discount(problem, state.best_vectors[np.argmin(state.best_scores)], number)
     result = _result(model, driver, state, interrupted)
     result = replace(result, recordings=names)
     if isinstance(tracker, NamedTracker):
