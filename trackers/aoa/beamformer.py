@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
 
+from trackwright.trackers.aoa.phases import array_of
 from trackwright.trackers.core.model.algebra import product
 from trackwright.trackers.core.model.covariance import side_by_side
 from trackwright.trackers.core.model.inputs import AnyArray
@@ -44,37 +45,28 @@ class Grid(eqx.Module):
     @classmethod
     def of(cls, station: Station, span: float = np.deg2rad(30.0), resolution: float = np.deg2rad(0.6)) -> Grid:
         """All directions within ± `span` in both angles (paper: ±30° at 0.6°, 101 × 101 hypotheses), rad."""
-        return _square(*_array(station), span, resolution)
+        antennas, wavelength = array_of(station)
+        return _square(tuple(map(tuple, antennas.tolist())), wavelength, span, resolution)
 
     @classmethod
     def in_plane(cls, station: Station, resolution: float = np.deg2rad(1.0)) -> Grid:
         """All directions in the plane of the array; `angles` (G, 1): about its z axis from its x axis, rad."""
         heading = np.arange(-np.pi, np.pi - 1e-9, resolution)
-        return _responses(*_array(station), heading[:, None], np.cos(heading), np.sin(heading))
+        return _responses(*array_of(station), heading[:, None], np.cos(heading), np.sin(heading))
 
 
 @lru_cache(maxsize=8)
-def _square(array: tuple[tuple[float, float], ...], wavelength: float, span: float, resolution: float) -> Grid:
+def _square(antennas: tuple[tuple[float, ...], ...], wavelength: float, span: float, resolution: float) -> Grid:
     """`Grid.of` for antennas at these places; stations often have equal arrays."""
     axis = np.linspace(-span, span, 2 * round(span / resolution) + 1)
     azimuth, elevation = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
     x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
-    grid = _responses(array, wavelength, np.stack([azimuth, elevation], axis=1), x, y)
+    grid = _responses(np.array(antennas), wavelength, np.stack([azimuth, elevation], axis=1), x, y)
     return Grid(grid.angles, grid.cosine, grid.sine, Blocks.of(np.asarray(grid.cosine), np.asarray(grid.sine)))
 
 
-def _array(station: Station) -> tuple[tuple[tuple[float, float], ...], float]:
-    """The antennas' places and the wavelength, m."""
-    if station.antennas is None or station.wavelength is None:
-        raise ValueError("a beamformer needs a station with antennas and a wavelength")
-    return tuple((float(x), float(y)) for x, y in np.asarray(station.antennas, float)), float(station.wavelength)
-
-
-def _responses(
-    array: tuple[tuple[float, float], ...], wavelength: float, angles: np.ndarray, x: np.ndarray, y: np.ndarray
-) -> Grid:
+def _responses(antennas: np.ndarray, wavelength: float, angles: np.ndarray, x: np.ndarray, y: np.ndarray) -> Grid:
     """The grid of directions `angles` (G, d) with the components `x`, `y` (G,) in the plane of the array."""
-    antennas = np.array(array)
     phase = 2 * np.pi / wavelength * (antennas[:, :1] * x + antennas[:, 1:] * y)
     return Grid(angles, np.cos(phase), np.sin(phase), None)
 

@@ -112,8 +112,8 @@ class AbstractPlanePhases(AbstractPhaseSensor):
     wavenumbers: Any
     paper_form: bool = eqx.field(static=True)
 
-    def __init__(self, station: Station, sigma_p: float | Noise, paper_form: bool):
-        antennas, wavelength = _array(station)
+    def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
+        antennas, wavelength = array_of(station)
         self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
         self.wavenumbers = 2 * np.pi / wavelength * antennas
         self.offsets = Real(np.zeros(len(antennas)), "rad", typical=0.1)
@@ -131,9 +131,6 @@ class PlanePhases(AbstractPlanePhases):
     """Phases of a plane wave from azimuth and elevation in the array frame; attributes as in `AbstractPlanePhases`."""
 
     view_fields: ClassVar[tuple[str, ...]] = ("azimuth", "elevation")
-
-    def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
-        super().__init__(station, sigma_p, paper_form)
 
     def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
         return compute_once((jnp.sin(view.azimuth) * jnp.cos(view.elevation), jnp.sin(view.elevation)))
@@ -171,7 +168,7 @@ class SphericalPhases(AbstractPhaseSensor):
     paper_form: bool = eqx.field(static=True)
 
     def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
-        _, wavelength = _array(station)
+        _, wavelength = array_of(station)
         self.sigma_p = as_scale(sigma_p, "rad", "measurement noise")
         self.antennas = station.antenna_positions() - station.position
         self.offsets = Real(np.zeros(len(self.antennas)), "rad", typical=0.1)
@@ -196,9 +193,10 @@ class SphericalPhases(AbstractPhaseSensor):
         return phases
 
 
-def _array(station: Station) -> tuple[np.ndarray, float]:
+def array_of(station: Station) -> tuple[np.ndarray, float]:
+    """The antennas' places (n, 2) and the wavelength, m."""
     if station.antennas is None or station.wavelength is None:
-        raise ValueError("a phase sensor needs a station with antennas and a wavelength; this one reports angles")
+        raise ValueError("phases need a station with antennas and a wavelength; this one reports angles")
     return np.asarray(station.antennas, float), float(station.wavelength)
 
 
