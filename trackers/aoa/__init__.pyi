@@ -4,10 +4,7 @@ from trackwright.trackers.aoa.beam import BeamStart as BeamStart
 from trackwright.trackers.aoa.beam import InPlaneBeam as InPlaneBeam
 from trackwright.trackers.aoa.beam import InPlaneBeamMotion as InPlaneBeamMotion
 from trackwright.trackers.aoa.beamformer import Grid as Grid
-from trackwright.trackers.aoa.beamformer import capon as capon
 from trackwright.trackers.aoa.beamformer import delay_and_sum as delay_and_sum
-from trackwright.trackers.aoa.beamformer import music as music
-from trackwright.trackers.aoa.beamformer import snapshots as snapshots
 from trackwright.trackers.aoa.beamformer import strongest as strongest
 from trackwright.trackers.aoa.cascade import Cascade as Cascade
 from trackwright.trackers.aoa.direct import PhaseStart as PhaseStart
@@ -37,11 +34,8 @@ __all__ = [
     "beam_trajectories",
     "bearing_inputs",
     "bearing_trajectories",
-    "capon",
     "delay_and_sum",
-    "music",
     "phase_trajectories",
     "recent_points",
-    "snapshots",
     "strongest",
 ]

@@ -1,7 +1,7 @@
-"""Beamformers: delay-and-sum, Capon and MUSIC over a grid of directions, batched over rows.
+"""The beamformer delay-and-sum over a grid of directions, batched over rows.
 
-They use phases only, with equal weights of the antennas, and one row at a time: the baseline of the beam tracker and
-its start (Will et al. 2020, section 4).
+It uses phases only, with equal weights of the antennas, and one row at a time: the baseline of the beam tracker and its
+start (Will et al. 2020, section 4).
 
 The maximum of a spectrum is found without computing all of it: by a coarse grid, then the best blocks. The magnitude f
 of the spectrum is the modulus of a sum of unit phasors, so that from its maximum on the grid it falls by at most
@@ -87,59 +87,9 @@ def direction(grid: Grid, phases: AnyArray, seen: AnyArray) -> jax.Array:
     return jnp.asarray(grid.angles)[strongest_index(grid.cosine, grid.sine, grid.blocks, phases, seen)]
 
 
-def snapshots(phases: AnyArray, seen: AnyArray) -> jax.Array:
-    """The sample covariance (…, n, n), complex, of the unit phasors of several rows (…, rows, n)."""
-    phasor = jax.lax.complex(jnp.cos(phases), jnp.sin(phases))
-    x = jnp.where(seen, phasor, jnp.zeros_like(phasor))
-    return jnp.einsum("...ri,...rj->...ij", x, x.conj(), precision="highest") / phases.shape[-2]
-
-
-def capon(grid: Grid, covariance: jax.Array, loading: float = 0.05) -> jax.Array:
-    """Capon's spectrum 1/(aᴴR⁻¹a), (…, G), with `loading` times the mean power added to R's diagonal (Capon 1969)."""
-    n = covariance.shape[-1]
-    eye = jnp.broadcast_to(jnp.eye(n, dtype=covariance.dtype), covariance.shape)
-    loaded = covariance + (loading / n * _power(covariance) + 1e-12) * eye
-    return 1.0 / _form(grid, _inverse(loaded))
-
-
-def music(grid: Grid, covariance: jax.Array) -> jax.Array:
-    """The MUSIC spectrum for one source, (…, G): n/(n − |aᴴe|²) with e the principal eigenvector (Schmidt 1986)."""
-    n = covariance.shape[-1]
-    vector = covariance
-    for _ in range(6):
-        # Six squarings are 64 power iterations; the division prevents overflow.
-        vector = product(vector, vector)
-        vector = vector / (_power(vector) + 1e-30)
-    signal = jnp.maximum(_form(grid, vector), 0.0)
-    return n / jnp.maximum(n - signal, 1e-6 * n)
-
-
 def strongest(grid: Grid, spectrum: jax.Array) -> jax.Array:
     """The angles (…, 2 or 1), rad, at which a spectrum (…, G) is largest."""
     return jnp.asarray(grid.angles)[jnp.argmax(spectrum, axis=-1)]
-
-
-def _power(matrix: jax.Array) -> jax.Array:
-    """The trace of Hermitian matrices, (…, 1, 1), of the matrices' dtype."""
-    return jnp.trace(matrix, axis1=-2, axis2=-1).real[..., None, None].astype(matrix.dtype)
-
-
-def _form(grid: Grid, matrix: jax.Array) -> jax.Array:
-    """aᴴMa for every direction, for a Hermitian matrix."""
-    kind = jnp.zeros((), matrix.dtype).real.dtype
-    steering = jax.lax.complex(jnp.asarray(grid.cosine, kind), jnp.asarray(grid.sine, kind))
-    return jnp.einsum("ig,...ij,jg->...g", steering.conj(), matrix, steering, precision="highest").real
-
-
-def _inverse(matrix: jax.Array) -> jax.Array:
-    """The inverse of Hermitian positive definite matrices by Gauss–Jordan, without LAPACK's per-matrix cost."""
-    n = matrix.shape[-1]
-    work = jnp.concatenate([matrix, jnp.broadcast_to(jnp.eye(n, dtype=matrix.dtype), matrix.shape)], axis=-1)
-    for k in range(n):
-        row = work[..., k, :] / work[..., k, k, None]
-        work = work - work[..., :, k, None] * row[..., None, :]
-        work = work.at[..., k, :].set(row)
-    return work[..., n:]
 
 
 REACH = 2
