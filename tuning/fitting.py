@@ -21,15 +21,7 @@ from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
 from trackwright.tuning.fit_warnings import Issue, finished_cautions, identifiability_issues
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.optimisation import (
-    LBFGS,
-    AbstractOptimiser,
-    Adam,
-    FitState,
-    MultiStart,
-    initial_state,
-    newton,
-)
+from trackwright.tuning.optimisation import LBFGS, AbstractOptimiser, Adam, FitState, MultiStart, initial_state, newton
 from trackwright.tuning.parameters import (
     Parameter,
     Prior,
