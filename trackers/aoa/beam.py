@@ -135,7 +135,6 @@ def beam_tracker(
     sigma_p: float = 0.2,
     paper_form: bool = False,
     span: float = np.deg2rad(30.0),
-    loss: TrackLossPolicy | None = None,
 ) -> Tracker:
     """The beam tracker of one station, whose phases a recording holds under `name`; `span`: of the start's grid, rad.
 
@@ -146,7 +145,7 @@ def beam_tracker(
     sensor = PlanePhases(station, sigma_p, paper_form)
     start = BeamStart(name, Grid.of(station, span), Scale(np.deg2rad(30.0), "rad"), Scale(1.0, "rad/s"))
     motion = BeamMotion(process_noise(sigma_a, "rad/s^2"))
-    return Tracker(motion, {name: sensor}, start, track_loss=loss or TrackLossPolicy())
+    return Tracker(motion, {name: sensor}, start, track_loss=TrackLossPolicy())
 
 
 def in_plane_beam_tracker(

@@ -123,25 +123,22 @@ def level_attitude(force: Vector) -> Rotation:
 def inertial_tracker(
     anchors: int = 0,
     planar: bool = False,
-    noise: ImuNoise | None = None,
     sigma_r: float = 0.1,
     positive_skew: float = 3.0,
     dof: float = 3.0,
     bias: float = 0.05,
-    yaws: int = 3,
 ) -> Tracker:
     """Position, velocity, attitude and IMU biases from ranges and an IMU; any row may lack either.
 
     `planar`: the paper's eight states, at a known height; else fifteen in three dimensions, and a range bias for each
-    of up to `MAX_BIASES` numbered `anchors`. Sensor numbers as in `RangeSensor`, with one slot per row. `yaws`: number
-    of initial yaws.
+    of up to `MAX_BIASES` numbered `anchors`. Sensor numbers as in `RangeSensor`, with one slot per row.
     """
     expected = "the number of anchors, as inertial_tracker(len(rig.anchors))"
     require(is_count(anchors), "inertial_tracker", anchors, expected)
     # In the plane, with three anchors, biases and position are not jointly observable.
     biases = anchors if anchors <= MAX_BIASES and not planar else 0
     sensors = {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)}
-    return _strapdown_tracker(sensors, InertialStart(planar, biases), noise or _noise(0.02), None, yaws)
+    return _strapdown_tracker(sensors, InertialStart(planar, biases), ImuNoise(), None)
 
 
 def inertial_difference_tracker(
@@ -152,7 +149,6 @@ def inertial_difference_tracker(
     sigma_d: float = 0.13,
     dof: float = 1.8,
     drift: BiasDrift | None = None,
-    yaws: int = 3,
 ) -> Tracker:
     """As `inertial_tracker`, from range differences, `slots` to a row, and an IMU; biases are in the plane, too.
 
@@ -162,18 +158,12 @@ def inertial_difference_tracker(
     drift = drift or BiasDrift(0.12, 20.0, 2.0)
     biases = anchors if anchors <= MAX_BIASES else 0
     start = InertialStart(planar, biases, float(drift.sigma_bias.value))
-    return _strapdown_tracker(
-        {TDOA: RangeDifferenceSensor(slots, sigma_d, dof)}, start, noise or _noise(None), drift, yaws
-    )
-
-
-def _noise(sigma_range_walk: float | None) -> ImuNoise:
-    """The default levels of an IMU, with this random walk of the biases of anchors, m per √s."""
-    return ImuNoise(0.2, 0.02, 0.005, 0.0005, 1.5, 0.3, sigma_range_walk)
+    noise = noise or ImuNoise(sigma_range_walk=None)
+    return _strapdown_tracker({TDOA: RangeDifferenceSensor(slots, sigma_d, dof)}, start, noise, drift)
 
 
 def _strapdown_tracker(
-    sensors: Mapping[str, AbstractSensor], start: InertialStart, noise: ImuNoise, drift: BiasDrift | None, yaws: int
+    sensors: Mapping[str, AbstractSensor], start: InertialStart, noise: ImuNoise, drift: BiasDrift | None
 ) -> Tracker:
     """The tracker of an IMU and readings to anchors, in the plane or in three dimensions as the start."""
     drift = drift if start.biases else None
@@ -181,4 +171,4 @@ def _strapdown_tracker(
     motion: AbstractMotion = Strapdown(noise, biases=start.biases, drift=drift)
     if start.planar:
         motion = PlanarStrapdown(noise, biases=start.biases, drift=drift)
-    return Tracker(motion, sensors, start, YawMixtureFilter(count=yaws), TrackScorePolicy(REACH, "m"))
+    return Tracker(motion, sensors, start, YawMixtureFilter(), TrackScorePolicy(REACH, "m"))

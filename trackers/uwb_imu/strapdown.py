@@ -93,13 +93,13 @@ class ImuNoise(eqx.Module):
 
     def __init__(
         self,
-        sigma_accel: float | Noise = 0.05,
-        sigma_gyro: float | Noise = 0.005,
+        sigma_accel: float | Noise = 0.2,
+        sigma_gyro: float | Noise = 0.02,
         sigma_accel_walk: float | Noise = 0.005,
         sigma_gyro_walk: float | Noise = 0.0005,
-        sigma_a: float | Noise = 1.0,
-        sigma_turn: float | Noise = 0.5,
-        sigma_range_walk: float | Noise | None = 0.005,
+        sigma_a: float | Noise = 1.5,
+        sigma_turn: float | Noise = 0.3,
+        sigma_range_walk: float | Noise | None = 0.02,
     ):
         self.sigma_accel = process_noise(sigma_accel, "m/s^2/sqrt(Hz)")
         self.sigma_gyro = process_noise(sigma_gyro, "rad/s/sqrt(Hz)")
