@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -80,21 +79,10 @@ def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
         if rig_station.antennas is None:
             continue
         here, count = np.flatnonzero(station == names.index(name)), len(rig_station.antennas)
-        if np.array_equal(row[here], np.arange(len(times))):
-            part = _evenly_spaced(here)
-            readings[name] = Readings(phases[part, :count], mask[part, :count])
-            continue
         values, seen = np.zeros((len(times), count)), np.zeros((len(times), count), bool)
         values[row[here]], seen[row[here]] = phases[here, :count], mask[here, :count]
         readings[name] = Readings(values, seen)
     return trajectories_of(folder, rows.tags, starts, times, readings, {})
-
-
-def _evenly_spaced(numbers: np.ndarray) -> Any:
-    """The numbers, as a slice where they are evenly spaced: a view is no copy."""
-    step = int(numbers[1] - numbers[0]) if len(numbers) > 1 else 1
-    part = slice(int(numbers[0]), int(numbers[-1]) + 1, step)
-    return part if (np.diff(numbers) == step).all() else numbers
 
 
 def beam_trajectories(folder: RecordingFolder, free_height: bool) -> Iterable[Trajectory]:
