@@ -60,22 +60,17 @@ def lacks_coplanar_anchors(folder: RecordingFolder) -> str | None:
 
 
 def floor_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
-    """Each tag's fixes with z masked, one row per table row; raises UnusableInput without a valid floor plan."""
-    walls_of(folder)
+    """Each tag's fixes with z masked, one row per table row."""
     trajectories = fix_trajectories(folder, free_height)
     fixes = trajectories.columns.readings[FIXES]
     return trajectories.replaced({FIXES: Readings(fixes.values, fixes.seen & [True, True, False], fixes.reported)})
 
 
 def walls_of(folder: RecordingFolder) -> Walls:
-    """The folder's floor plan; raises UnusableInput if there is none or it is invalid."""
+    """The folder's floor plan; raises UnusableInput if it is invalid."""
     from trackwright.trackers.baselines.floor import Walls
 
     rig = folder.rig
-    if rig.walls is None and rig.outline is None:
-        raise UnusableInput(
-            f"{folder.path}: no [floor] in rig.toml, expected its walls_m = [[x1, y1, x2, y2], …]; add them"
-        )
     try:
         return Walls(() if rig.walls is None else rig.walls, () if rig.outline is None else rig.outline)
     except ValueError as problem:

@@ -61,8 +61,7 @@ def planar_fix_trajectories(folder: RecordingFolder) -> Trajectories:
 
 
 def line_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
-    """Each tag's ranges if the rig has all heights, else its fixes; raises UnusableInput without a path."""
-    path_of(folder)
+    """Each tag's ranges if the rig has all heights, else its fixes."""
     return range_trajectories(folder, False) if _reads_ranges(folder) else planar_fix_trajectories(folder)
 
 
