@@ -112,7 +112,7 @@ class AbstractPlanePhases(AbstractPhaseSensor):
     wavenumbers: Any
     paper_form: bool = eqx.field(static=True)
 
-    def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
+    def __init__(self, station: Station, sigma_p: float | Noise, paper_form: bool):
         antennas, wavelength = array_of(station)
         self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
         self.wavenumbers = 2 * np.pi / wavelength * antennas
@@ -131,6 +131,9 @@ class PlanePhases(AbstractPlanePhases):
     """Phases of a plane wave from azimuth and elevation in the array frame; attributes as in `AbstractPlanePhases`."""
 
     view_fields: ClassVar[tuple[str, ...]] = ("azimuth", "elevation")
+
+    def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
+        super().__init__(station, sigma_p, paper_form)
 
     def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
         return compute_once((jnp.sin(view.azimuth) * jnp.cos(view.elevation), jnp.sin(view.elevation)))
