@@ -234,19 +234,18 @@ class _Program:
             parts = np.moveaxis(inputs[0], axes, range(len(axes))).reshape(-1, *result.shape)
             return [self.summed(REDUCED[name], parts, result.dtype)]
         if name == "dot_general":
-            return [self.product(*inputs, parameters["dimension_numbers"], result.dtype)]
+            return [self.product(inputs, parameters["dimension_numbers"], result.dtype).reshape(result.shape)]
         return [self.each(name, inputs, parameters, result.dtype)]
 
-    def product(self, a: np.ndarray, b: np.ndarray, numbers: Any, dtype: Any) -> np.ndarray:
-        """A product of matrices without batches."""
-        (of_a, of_b), (batched, _) = numbers
+    def product(self, factors: Sequence[np.ndarray], numbers: Any, dtype: Any) -> np.ndarray:
+        """A product of matrices without batches, in rows and columns."""
+        contracted, (batched, _) = numbers
         if batched:
             raise NotImplementedError("dot_general")
-        first = np.moveaxis(a, of_a, range(len(of_a))).reshape(-1, *np.delete(a.shape, of_a))
-        second = np.moveaxis(b, of_b, range(len(of_b))).reshape(-1, *np.delete(b.shape, of_b))
-        first = first.reshape(*first.shape, *[1] * (second.ndim - 1))
-        second = second.reshape(len(second), *[1] * (first.ndim - second.ndim), *second.shape[1:])
-        return self.summed("add", self.each("mul", [first, second], {}, dtype), dtype)
+        count = int(np.prod([factors[0].shape[axis] for axis in contracted[0]]))
+        parts = zip(factors, contracted, strict=True)
+        first, second = (np.moveaxis(x, axes, range(len(axes))).reshape(count, -1) for x, axes in parts)
+        return self.summed("add", self.each("mul", [first[:, :, None], second[:, None]], {}, dtype), dtype)
 
     def summed(self, name: str, parts: np.ndarray, dtype: Any) -> np.ndarray:
         """The parts (n, …) joined one after another by an operation."""
