@@ -136,13 +136,14 @@ def fit_data(
         whole = [with_floor_truth(trajectory) for trajectory in whole]
     trajectories = [segment for trajectory in whole for segment in segments(trajectory, segment_rows)]
     known = [bool(trajectory.recording.truth[quantity][1].any()) for trajectory in trajectories]
+    singular = batch.planar and bool(trajectories[0].station)
     if objective is None:
         with_truth = {t.folder.name for t, has in zip(trajectories, known, strict=True) if has}
-        enough = bool(with_truth - apart) and (not apart or bool(with_truth & apart))
-        objective = _default_objective(batch, trajectories, quantity) if enough else "nll"
+        enough = bool(with_truth - apart) and (not apart or bool(with_truth & apart)) and not singular
+        objective = _default_objective(batch.tracker, stack([trajectories[0].recording]), quantity, enough)
     goal = named_objective(objective, quantity, 2 if floor else 3)
     name = name_of(objective)
-    if goal.needs_truth and batch.planar and trajectories[0].station:
+    if goal.needs_truth and singular:
         raise UnusableInput(
             f"objective {name}: azimuth and elevation of a tag in a flat array's own plane are singular; "
             "expected a tag above or below it; use the objective nll"
@@ -191,25 +192,20 @@ def _quantity(batch: TrackerBatch) -> str:
     return next(iter(batch.trajectories[0].recording.truth))
 
 
-def _default_objective(batch: TrackerBatch, trajectories: Sequence[Trajectory], quantity: str) -> str:
-    """`state-nll` where the tracker reports a covariance of the true quantity, else `nll`.
+def _default_objective(tracker: AbstractTracker, batch: Batch, quantity: str, known: bool) -> str:
+    """`state-nll` where the true quantity is known and reported with a covariance, else `nll`.
 
-    A particle filter has no gradient of the first, and a direction in a flat array's own plane is singular.
+    A particle filter has no gradient of the first.
     """
-    if is_stochastic(batch.tracker) or (batch.planar and trajectories[0].station):
+    if not known or is_stochastic(tracker):
         return "nll"
-    return "state-nll" if is_judged(batch.tracker, stack([trajectories[0].recording]), quantity) else "nll"
-
-
-def is_judged(tracker: AbstractTracker, batch: Batch, quantity: str) -> bool:
-    """Whether the tracker estimates the quantity with a covariance."""
     first = batch.rows(slice(0, 2)).columns(0, 1)
     try:
         goal = StateLogLikelihood(quantity, min(2, len(first.truth[quantity][0])))
         jax.eval_shape(lambda: tracker.accumulate(first, goal.terms))
     except MissingQuantityError:
-        return False
-    return True
+        return "nll"
+    return "state-nll"
 
 
 def named_objective(objective: str | AbstractObjective, quantity: str, dimensions: int) -> AbstractObjective:
@@ -305,8 +301,7 @@ def _array_objective(
     quantity = next(iter(rows[0].truth), "position")
     if objective is None:
         known = all(_has_truth(part) for part in (rows, apart) if part)
-        judged = known and not is_stochastic(tracker) and is_judged(tracker, rows[0], quantity)
-        objective = "state-nll" if judged else "nll"
+        objective = _default_objective(tracker, rows[0], quantity, known)
     goal = named_objective(objective, quantity, 2)
     for part, where in ((rows, "the recordings"), (apart, "the held-out recordings")):
         if goal.needs_truth and part and not _has_truth(part):

@@ -111,7 +111,7 @@ class FitResult(Generic[AnyTracker]):
     @property
     def n_excluded(self) -> int:
         """The number of trajectories without usable gradients at the best point."""
-        return self.problem.n_excluded(self.evaluation)
+        return int(self.problem.valid.sum() - self.evaluation.used.sum())
 
     @cached_property
     def cautions(self) -> list[str]:

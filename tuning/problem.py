@@ -271,10 +271,6 @@ class Problem:
         sums = weighted_sum(terms, count)
         return self.values_of(sums) + self.prior_penalty(vectors, sums).values
 
-    def n_excluded(self, evaluation: Evaluation) -> int:
-        """The number of trajectories left out of an evaluation, at the vector with the fewest."""
-        return int(self.valid.sum() - evaluation.used.sum(axis=1).max())
-
     def values(self, vectors: Vectors) -> Values:
         """The objective (S,) at vectors (S, p) over all trajectories that are finite there, at a third of the cost.
 
