@@ -359,9 +359,8 @@ def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
     recordings = np.asarray(result.recordings)
     weights = np.stack([uncertainty.optimum.used & ~np.isin(recordings, fold) for fold in folds]).astype(float)
     starts = np.tile(result.vector, (len(folds), 1))
-    vectors = refit(
-        result.problem, starts, uncertainty.optimum.hessian, ~uncertainty.at_bound, weights, LEFT_OUT_ROUNDS
-    ).vectors
+    hessian, free = uncertainty.optimum.hessian, ~uncertainty.at_bound
+    vectors, _ = refit(result.problem, starts, hessian, free, weights, LEFT_OUT_ROUNDS)
     values = [by_label(result.parameters, np.clip(vector, *result.limits)) for vector in vectors]
     return {
         name: of_fold
@@ -399,7 +398,7 @@ def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float
         rows = replace(data, training=[hidden(trajectory) for trajectory in data.training]).rows
         problem = Problem(fitted.tracker, rows.batches, fitted.objective, fitted.parameters, weights=rows.weights)
         problem.prior, problem.discount = fitted.prior, fitted.discount
-        refitted = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
-        vector = np.clip(refitted.vectors[0], *result.limits)
+        vectors, _ = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
+        vector = np.clip(vectors[0], *result.limits)
         blocks.append((start, stop, by_label(result.parameters, vector)))
     return blocks
