@@ -135,17 +135,11 @@ def _shared_rows(rows: TagRows, station: np.ndarray) -> tuple[np.ndarray, np.nda
     new = np.append(True, np.diff(rows.times) != 0)
     new[rows.starts[:-1]] = True
     group = np.cumsum(new) - 1
-    repeat = np.zeros(len(group), int)
-    if not (np.diff(station)[~new[1:]] > 0).all():
-        order = np.lexsort((station, group))
-        same = np.append(False, (np.diff(group[order]) == 0) & (np.diff(station[order]) == 0))
-        run = np.arange(len(order))
-        repeat[order] = run - np.maximum.accumulate(np.where(same, 0, run))
+    order, run, repeat = np.lexsort((station, group)), np.arange(len(group)), np.empty(len(group), int)
+    same = np.append(False, (np.diff(group[order]) == 0) & (np.diff(station[order]) == 0))
+    repeat[order] = run - np.maximum.accumulate(np.where(same, 0, run))
     most = int(repeat.max(initial=0)) + 1
-    if most == 1:
-        keys, first, row = np.arange(group[-1] + 1), np.flatnonzero(new), group
-    else:
-        keys, first, row = np.unique(group * most + repeat, return_index=True, return_inverse=True)
+    keys, first, row = np.unique(group * most + repeat, return_index=True, return_inverse=True)
     starts = np.append(np.searchsorted(keys, group[rows.starts[:-1]] * most), len(keys))
     return row, starts, rows.times[first]
 
