@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.model.tunable import Covariance, Scale, role_of
 from trackwright.tuning.parameters import Parameter, split
-from trackwright.tuning.problem import Problem, weighted_sum
+from trackwright.tuning.problem import Evaluation, Problem, weighted_sum
 from trackwright.tuning.uncertainty import Optimum, determined, optimum
 
 Vectors = Float[np.ndarray, "S p"]
@@ -187,10 +187,7 @@ class MultiStart:
         state = FitState(
             number=np.array(0),
             vectors=vectors,
-            values=evaluation.values,
-            gradients=evaluation.gradients,
-            terms=evaluation.terms,
-            used=evaluation.used,
+            **_here(evaluation),
             optimiser_state=self.optimiser.init(vectors),
             best_scores=scores,
             best_vectors=vectors,
@@ -208,11 +205,10 @@ class MultiStart:
         number = int(state.number) + 1
         if self.problem.stochastic:
             # With other random numbers the objective at the present points has changed.
-            again = self.problem.evaluate(state.vectors, realisation=number)
-            state = state._replace(values=again.values, gradients=again.gradients, terms=again.terms, used=again.used)
+            state = state._replace(**_here(self.problem.evaluate(state.vectors, realisation=number)))
         steps, optimiser_state = self.optimiser.propose(state.optimiser_state, state.vectors, state.gradients)
         vectors, gain = state.vectors.copy(), np.zeros(len(state.vectors))
-        after = tuple(x.copy() for x in (state.values, state.gradients, state.terms, state.used))
+        after = {name: x.copy() for name, x in _here(state).items()}
         pending, lengths = state.active.copy(), np.ones(len(state.vectors))
         least = self._min_gains(state.values, state.terms, state.used)
         for attempt in range(MAX_ATTEMPTS):
@@ -235,14 +231,12 @@ class MultiStart:
                 accepted &= gains >= 0
             moved = index[accepted]
             vectors[moved], gain[moved] = trial[accepted], gains[accepted]
-            for old, new in zip(
-                after, (evaluated.values, evaluated.gradients, evaluated.terms, evaluated.used), strict=True
-            ):
-                old[moved] = new[accepted]
+            for name, new in _here(evaluated).items():
+                after[name][moved] = new[accepted]
             pending[moved] = False
             lengths[index] *= _shorter(slopes[index], gains)
         moved = state.active & ~pending
-        values, gradients, terms, used = after
+        values, gradients, terms, used = after.values()
         scores = np.where(moved, self._scores(vectors, terms), np.inf)
         better = scores < state.best_scores
         much = scores + (least if self.held_out is None else 0.0) < state.best_scores
@@ -255,10 +249,7 @@ class MultiStart:
             state._replace(
                 number=np.array(number),
                 vectors=vectors,
-                values=values,
-                gradients=gradients,
-                terms=terms,
-                used=used,
+                **after,
                 optimiser_state=optimiser_state,
                 best_scores=best_scores,
                 best_vectors=best_vectors,
@@ -326,6 +317,11 @@ class MultiStart:
         if self.held_out is not None:
             return self.max_stale
         return np.inf if self.problem.stochastic or self.optimiser.monotone else PATIENCE
+
+
+def _here(found: Evaluation | FitState) -> dict[str, np.ndarray]:
+    """The fields of the objective at the vectors, which evaluations and states share."""
+    return {name: getattr(found, name) for name in ("values", "gradients", "terms", "used")}
 
 
 def _shorter(slopes: Float[np.ndarray, " S"], gains: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
