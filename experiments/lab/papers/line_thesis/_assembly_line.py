@@ -121,7 +121,6 @@ def _ended(trajectory: Trajectory) -> LineMotion:
 
 
 def _open(trajectory: Trajectory) -> LineMotion:
-    path_of(trajectory.folder)
     return LineMotion(open_ended(trajectory.folder.rig.path_knots), 0.1)
 
 
