@@ -95,7 +95,7 @@ class InPlaneBeamMotion(AbstractMotion):
 
 
 class BeamStart(AbstractStart):
-    """A start at the maximum of the delay-and-sum spectrum of one row with at least `antennas` phases.
+    """A start at the maximum of the delay-and-sum spectrum of one row with at least three phases.
 
     `sigma_angle` rad, 30° in the paper, and `sigma_rate` rad/s: standard deviations. A grid of one angle gives an
     `InPlaneBeam`.
@@ -105,15 +105,14 @@ class BeamStart(AbstractStart):
     grid: Grid
     sigma_angle: Noise
     sigma_rate: Noise
-    antennas: int = eqx.field(static=True, default=3)
 
     @property
     def readings(self) -> Mapping[str, int]:
         """The phases of its station."""
-        return {self.station: self.antennas}
+        return {self.station: 3}
 
     def can_start(self, row: Row) -> Scalar:
-        return jnp.sum(row.readings[self.station].seen) >= self.antennas
+        return jnp.sum(row.readings[self.station].seen) >= 3
 
     def candidate(self, sensors: Any, row: Row) -> Any:
         reading = row.readings[self.station]
