@@ -47,12 +47,12 @@ from trackwright.trackers.core.model.state import Heading, Rotation
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.fusion.tracker import Drift, FusedMotion, FusedState
+from trackwright.trackers.fusion.tracker import FusedMotion, FusedState
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
 from trackwright.trackers.line.tracker import FloorFixes, line_grid_tracker, line_tracker
 from trackwright.trackers.linear import linear
 from trackwright.trackers.mhk.tracker import STILL, mhk_tracker
-from trackwright.trackers.parts.drifting_biases import BiasedState, DriftingBiases
+from trackwright.trackers.parts.drifting_biases import BiasDrift, BiasedState, DriftingBiases
 from trackwright.trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.singer import Singer
@@ -466,8 +466,6 @@ def _inertial_motions() -> Iterator[tuple[str, MotionCase]]:
         inputs = {**_IMU, "imu": np.array(available)}
         yield f"planar strapdown{label}", MotionCase(PlanarStrapdown(_IMU_NOISE, biases=1), _LEVEL, inputs, 0.02)
         yield f"strapdown{label}", MotionCase(Strapdown(_IMU_NOISE, biases=1), _SPACE, inputs, 0.02)
-    inputs = {**_IMU, "imu": np.ones(2)}
-    yield "planar strapdown, transport", MotionCase(PlanarStrapdown(_IMU_NOISE, True, 1), _LEVEL, inputs, 0.02)
 
 
 _COUNTS = {"bearings": 2, "ranges": 1}
@@ -500,7 +498,7 @@ MOTIONS = {
     "damped velocity with biases of two kinds": MotionCase(
         FusedMotion(
             *(Scale(x) for x in (0.3, 0.2, 5.0)),
-            {name: Drift(*(Scale(x) for x in (0.05, 20.0, 2.0)), biases) for name, biases in _COUNTS.items()},
+            {name: BiasDrift(0.05, 20.0, 2.0, biases) for name, biases in _COUNTS.items()},
         ),
         FusedState(
             Vector(0.1, 0.1), Vector(0.2, 0.2), {name: Vector(*[0.01] * n) for name, n in _COUNTS.items()}, Vector(0.05)

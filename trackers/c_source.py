@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.data.estimates import Status
-from trackwright.trackers.core.data.recording import Batch, Recording, stack
+from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.jax_private import is_literal, live_part
 from trackwright.trackers.core.model.algebra import select
@@ -60,6 +60,7 @@ TEMPLATES = {
 POWER, CONVERTED = "integer_pow", "convert_element_type"
 SAME = ("compute_once", "stored", "copy", "copy_p", "stop_gradient", "optimization_barrier")
 NESTED = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint", "custom_vmap_call")
+MOVED = ("broadcast_in_dim", "reshape", "squeeze", "slice", "concatenate", "stack", "unstack", "transpose", "split")
 REDUCED = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or"}
 
 OUTPUTS = ("log_likelihood", "nis", "nis_dof", "wrapped", "status")
@@ -100,30 +101,24 @@ def c_source(
     if not isinstance(tracker, Tracker):
         raise UnusableInput(f"{type(tracker).__name__} has no step in C; expected a filter, as of fix-kf or uwb")
     with jax.enable_x64(double):
-        return _source(tracker, recording, name, about, double)
-
-
-def _source(tracker: Tracker, recording: Recording, name: str, about: str, double: bool) -> Source:
-    model = freeze(as_dtype(tracker, np.float64 if double else np.float32))
-    row = _row(stack([recording]), np.float64 if double else np.float32)
-    carry = scan.first_carry(model, row, False)
-    begin = None
-    try:
-        step = _traced(lambda s, r: one_row(model, s, r, True), double, s=carry, r=row)
-    except NotImplementedError:
+        dtype, begin = np.float64 if double else np.float32, None
+        model, row = freeze(as_dtype(tracker, dtype)), _first(_rows(recording), dtype)
+        carry = scan.first_carry(model, row, False)
         try:
-            step = _traced(lambda s, r: one_row(model, s, r, False), double, s=carry, r=row)
-            mean, cov = model.moments(carry.belief)
-            begin = _traced(lambda m, c: _begun(model, m, c), double, m=mean, c=tuple(as_scalars(cov)))
-        except NotImplementedError as error:
-            raise UnusableInput(
-                f"the tracker has the operation {error}, as of a search, a loop or random numbers; expected arithmetic"
-            ) from None
-    return _written(name, about or name, tracker, carry, row, step, begin, "double" if double else "float")
+            step = _traced(lambda s, r: one_row(model, s, r, True), double, s=carry, r=row)
+        except NotImplementedError:
 
+            def begun(mean: Any, cov: Any) -> scan.Carry:
+                return scan.in_form(scan.carry_of(model, Gaussian(mean, cov), row.key, row.number), False)
 
-def _begun(tracker: Any, mean: Any, cov: Any) -> scan.Carry:
-    return scan.in_form(scan.carry_of(tracker, Gaussian(mean, cov), jnp.zeros(2, jnp.uint32), jnp.uint32(0)), False)
+            try:
+                step = _traced(lambda s, r: one_row(model, s, r, False), double, s=carry, r=row)
+                mean, cov = model.moments(carry.belief)
+                begin = _traced(begun, double, m=mean, c=tuple(as_scalars(cov)))
+            except NotImplementedError as error:
+                words = "as of a search, a loop or random numbers; expected arithmetic"
+                raise UnusableInput(f"the tracker has the operation {error}, {words}") from None
+        return _written(name, about or name, tracker, carry, row, step, begin, "double" if double else "float")
 
 
 class _Text(NamedTuple):
@@ -168,22 +163,25 @@ def write_c(named: NamedTracker, recording: RecordingFolder, out: Path, double: 
 
 def rows_of(recording: Recording, columns: Sequence[str]) -> np.ndarray:
     """The rows (T, columns) of a recording for the program of `c_source`."""
-    batch = stack([recording])
-    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
-    fields = jax.tree_util.tree_flatten_with_path(rows)[0]
+    fields = jax.tree_util.tree_flatten_with_path(_rows(recording))[0]
     whole = {_column(path, i): np.reshape(x, (len(x), -1))[:, i] for path, x in fields for i in range(np.size(x[0]))}
     return np.stack([np.asarray(whole[column], float) for column in columns], axis=1)
 
 
-def _row(batch: Batch, dtype: Any) -> Row:
-    """The first row of the first trajectory."""
+def _rows(recording: Recording) -> Row:
+    """The rows of a recording, (T, ..., 1)."""
+    batch = stack([recording])
+    return Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
+
+
+def _first(rows: Row, dtype: Any) -> Row:
+    """The first row."""
 
     def one(x: Any) -> Any:
         x = jnp.asarray(np.asarray(x)[0][..., 0])
         return x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x
 
-    row = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
-    return jax.tree_util.tree_map(one, row)._replace(key=jnp.zeros(2, jnp.uint32), number=jnp.uint32(0))
+    return jax.tree_util.tree_map(one, rows)._replace(key=jnp.zeros(2, jnp.uint32), number=jnp.uint32(0))
 
 
 def _column(path: Any, index: int) -> str:
@@ -225,48 +223,29 @@ class _Program:
             return inputs
         if not any(isinstance(x, str) for array in inputs for x in array.ravel()):
             values = [jnp.asarray(x.tolist(), v.aval.dtype) for x, v in zip(inputs, equation.invars, strict=True)]
-            found = equation.primitive.bind(*values, **parameters)
-            return list(found) if equation.primitive.multiple_results else [found]
-        x = inputs[0]
-        match name:
-            case "broadcast_in_dim":
-                shape = [1] * len(parameters["shape"])
-                for axis, size in zip(parameters["broadcast_dimensions"], x.shape, strict=True):
-                    shape[axis] = size
-                return [np.broadcast_to(x.reshape(shape), parameters["shape"])]
-            case "reshape" | "squeeze" | "expand_dims":
-                return [x.reshape(result.shape)]
-            case "slice":
-                ends = (parameters[key] or [1] * x.ndim for key in ("start_indices", "limit_indices", "strides"))
-                return [x[tuple(slice(*part) for part in zip(*ends, strict=True))]]
-            case "concatenate":
-                return [np.concatenate(inputs, axis=parameters["dimension"])]
-            case "stack":
-                return [np.stack(inputs, axis=parameters["axis"])]
-            case "unstack":
-                return list(np.moveaxis(x, parameters["axis"], 0))
-            case "transpose":
-                return [x.transpose(parameters["permutation"])]
-            case "split":
-                return np.split(x, np.cumsum(parameters["sizes"])[:-1], axis=parameters["axis"])
-            case _ if name in REDUCED:
-                axes = parameters["axes"]
-                parts = np.moveaxis(x, axes, range(len(axes))).reshape(-1, *result.shape)
-                return [self.summed(REDUCED[name], parts, result.dtype)]
-            case "dot_general":
-                return [self.product(x, inputs[1], parameters["dimension_numbers"], result.dtype)]
+            return _bound(equation, values)
+        if name in MOVED:
+            # Elements go where their numbers go.
+            elements, ends = np.concatenate([x.ravel() for x in inputs]), np.cumsum([x.size for x in inputs])
+            numbers = [jnp.arange(end - x.size, end).reshape(x.shape) for x, end in zip(inputs, ends, strict=True)]
+            return [elements[np.asarray(moved)] for moved in _bound(equation, numbers)]
+        if name in REDUCED:
+            axes = parameters["axes"]
+            parts = np.moveaxis(inputs[0], axes, range(len(axes))).reshape(-1, *result.shape)
+            return [self.summed(REDUCED[name], parts, result.dtype)]
+        if name == "dot_general":
+            return [self.product(inputs, parameters["dimension_numbers"], result.dtype).reshape(result.shape)]
         return [self.each(name, inputs, parameters, result.dtype)]
 
-    def product(self, a: np.ndarray, b: np.ndarray, numbers: Any, dtype: Any) -> np.ndarray:
-        """A product of matrices without batches."""
-        (of_a, of_b), (batched, _) = numbers
+    def product(self, factors: Sequence[np.ndarray], numbers: Any, dtype: Any) -> np.ndarray:
+        """A product of matrices without batches, in rows and columns."""
+        contracted, (batched, _) = numbers
         if batched:
             raise NotImplementedError("dot_general")
-        first = np.moveaxis(a, of_a, range(len(of_a))).reshape(-1, *np.delete(a.shape, of_a))
-        second = np.moveaxis(b, of_b, range(len(of_b))).reshape(-1, *np.delete(b.shape, of_b))
-        first = first.reshape(*first.shape, *[1] * (second.ndim - 1))
-        second = second.reshape(len(second), *[1] * (first.ndim - second.ndim), *second.shape[1:])
-        return self.summed("add", self.each("mul", [first, second], {}, dtype), dtype)
+        count = int(np.prod([factors[0].shape[axis] for axis in contracted[0]]))
+        parts = zip(factors, contracted, strict=True)
+        first, second = (np.moveaxis(x, axes, range(len(axes))).reshape(count, -1) for x, axes in parts)
+        return self.summed("add", self.each("mul", [first[:, :, None], second[:, None]], {}, dtype), dtype)
 
     def summed(self, name: str, parts: np.ndarray, dtype: Any) -> np.ndarray:
         """The parts (n, …) joined one after another by an operation."""
@@ -328,18 +307,20 @@ class _Program:
 
 def _objects(values: Any) -> np.ndarray:
     """An array of names and numbers."""
-    if isinstance(values, np.ndarray) and values.dtype == object:
-        return values
-    if isinstance(values, str):
-        return np.array(values, object)
-    return np.asarray(values).astype(object)
+    return np.asarray(values if isinstance(values, str) else np.asarray(values), object)
+
+
+def _bound(equation: Any, values: Sequence[Any]) -> list[Any]:
+    """The results of an equation for these values."""
+    found = equation.primitive.bind(*values, **equation.params)
+    return list(found) if equation.primitive.multiple_results else [found]
 
 
 def _written(
     name: str, about: str, tracker: Tracker, carry: scan.Carry, row: Row, step: _Text, begin: _Text | None, real: str
 ) -> Source:
-    program, count = _Program(real == "double"), len(jax.tree_util.tree_leaves(carry))
-    leaves = [(f"s{k}", x) for k, x in enumerate(jax.tree_util.tree_leaves(carry))]
+    program, state = _Program(real == "double"), jax.tree_util.tree_leaves(carry)
+    leaves = [(f"s{k}", x) for k, x in enumerate(state)]
     places = [f"{key}_{i}" for key, x in leaves for i in range(np.size(x))]
     sources = {key: f"state->s[{k}]" for k, key in enumerate(places)}
     for k, (path, x) in enumerate(jax.tree_util.tree_flatten_with_path(row)[0]):
@@ -358,28 +339,25 @@ def _written(
         return [target.format(k, program.text(x)) for k, x in enumerate(flat)]
 
     components = component_names(step.shapes[1][0])
-    outputs = [*components, *(f"cov_{k}" for k in range(len(step.shapes[1][1]))), *OUTPUTS]
-    outputs = [re.sub(r"\W", "_", output) for output in outputs]
-    outs = [line.format(*outputs) for line in stored(step.results[count:], "    out->{{{}}} = {};")]
+    names = [*components, *(f"cov_{k}" for k in range(len(step.shapes[1][1]))), *OUTPUTS]
+    outputs = [re.sub(r"\W", "_", output) for output in names]
+    outs = [line.format(*outputs) for line in stored(step.results[len(state) :], "    out->{{{}}} = {};")]
     levels = [f" * {key} = {np.asarray(x.value).tolist()} {x.unit}" for key, x in tunables(tracker).items()]
-    signatures = [
-        f"void {name}_init({name}_state *state)",
-        f"void {name}_step({name}_state *state, const {name}_row *row, {name}_out *out)",
-    ]
-    bodies = [stored(jax.tree_util.tree_leaves(carry)), [*loads, *step.lines, *stored(step.results[:count]), *outs]]
+    functions = {
+        f"void {name}_init({name}_state *state)": stored(state),
+        f"void {name}_step({name}_state *state, const {name}_row *row, {name}_out *out)": (
+            [*loads, *step.lines, *stored(step.results[: len(state)]), *outs]
+        ),
+    }
     if begin is not None:
-        size, entries = len(components), len(step.shapes[1][1])
-        signatures.append(
-            f"void {name}_begin({name}_state *state, const {real} mean[{size}], const {real} cov[{entries}])"
-        )
-        given = [*(f"m{k}_0" for k in range(size)), *(f"c{k}_0" for k in range(entries))]
-        read = [f"mean[{k}]" for k in range(size)] + [f"cov[{k}]" for k in range(entries)]
-        used = [f"    const {real} {a} = {b};" for a, b in zip(given, read, strict=True) if a in begin.needed]
-        bodies.append([*used, *begin.lines, *stored(begin.results)])
-    functions = "\n\n".join(
-        "\n".join([signature, "{", *body, "}"]) for signature, body in zip(signatures, bodies, strict=True)
-    )
+        sizes = {"mean": len(components), "cov": len(step.shapes[1][1])}
+        given = {f"{key[0]}{k}_0": f"{key}[{k}]" for key, size in sizes.items() for k in range(size)}
+        used = [f"    const {real} {a} = {b};" for a, b in given.items() if a in begin.needed]
+        arguments = ", ".join(f"const {real} {key}[{size}]" for key, size in sizes.items())
+        signature = f"void {name}_begin({name}_state *state, {arguments})"
+        functions[signature] = [*used, *begin.lines, *stored(begin.results)]
     guard, line = name.upper(), "\n"
+    bodies = "\n\n".join(line.join([signature, "{", *body, "}"]) for signature, body in functions.items())
     header = f"""/*
  * {about}, written by trackwright.
 {line.join(levels)}
@@ -401,7 +379,7 @@ typedef struct {{
     {real} s[{len(places)}];
 }} {name}_state;
 
-{line.join(f"{signature};" for signature in signatures)}
+{line.join(f"{signature};" for signature in functions)}
 
 #endif
 """
@@ -410,7 +388,7 @@ typedef struct {{
 
 #include <math.h>
 
-{functions}
+{bodies}
 
 #ifdef {guard}_MAIN
 #include <stdio.h>

@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from trackwright.trackers.core.errors import UnusableInput, near
@@ -33,142 +32,101 @@ class Entry(NamedTuple):
         return enough and ("[path]" not in self.table or folder.rig.path_knots is not None)
 
 
-PREFERENCE: Mapping[str, Mapping[str, Entry]] = MappingProxyType(
-    {
-        # No recording: phases of one station alone.
-        "phases of several stations": {
-            "direct": Entry(
-                "aoa.rows", "phases", "position from the phases of all stations in one EKF, spherical waves"
-            ),
-            "cascade": Entry(
-                "aoa.rows",
-                "phases",
-                "3-D position from phases, a beam tracker per station, then bearings-only fusion (Will et al.)",
-            ),
-        },
-        # ble51-uca, six of them.
-        "phases of a station": {
-            "beam": Entry("aoa.rows", "phases", "azimuth and elevation per station from phases, EKF (Will et al.)"),
-            "das": Entry(
-                "aoa.rows",
-                "phases",
-                "azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
-            ),
-        },
-        # No recording with two kinds of readings that are independent.
-        "several kinds of readings": {
-            "fusion": Entry(
-                "fusion.rows",
-                "two or more of ranges, tdoa, bearings and fixes",
-                "position from ranges, range differences, bearings and fixes in one EKF, with the biases of each kind",
-            ),
-        },
-        "bearings": {
-            "bearings": Entry(
-                "aoa.rows", "bearings", "position from azimuths and elevations of any number of stations, EKF"
-            ),
-        },
-        # ngbui-line, all six.
-        "readings along a known path": {
-            "line-grid": Entry(
-                "line.rows",
-                "ranges or fixes, and [path]",
-                "position on a known path from ranges or fixes, grid filter of arclength and speed",
-            ),
-            "line-pf": Entry(
-                "line.rows",
-                "ranges or fixes, and [path]",
-                "position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis)",
-            ),
-        },
-        # lias-still, all three, and all of the others that are not the first of their kind. With an IMU the two of
-        # ngbui-line-3, which it makes worse, outweigh the other four.
-        "ranges": {
-            "uwb": Entry("uwb_imu.rows", "ranges", "position from ranges, EKF with a drifting bias per anchor"),
-            "body": Entry(
-                "uwb_imu.body_rows",
-                "ranges and odometry",
-                "position and heading of a body from the ranges of its tags, and from its odometry if any, EKF",
-            ),
-            "uwb-imu": Entry(
-                "uwb_imu.body_rows",
-                "ranges and imu",
-                "position, velocity and attitude from ranges and an IMU, error-state EKF",
-            ),
-            "multilateration": Entry(
-                "uwb_imu.snapshots", "ranges", "position from the latest ranges, robust least squares without a filter"
-            ),
-            "trilateration": Entry(
-                "uwb_imu.snapshots",
-                "ranges",
-                "planar position from three ranges, intersection of circles (Kwon et al.) without compensation (14)",
-            ),
-            "trilateration-compensated": Entry(
-                "uwb_imu.snapshots",
-                "ranges",
-                "planar position from three ranges, intersection of circles with compensation (14) (Kwon et al.)",
-            ),
-        },
-        # The three of util.
-        "range differences": {
-            "tdoa": Entry(
-                "uwb_imu.difference_rows",
-                "tdoa",
-                "position from range differences, EKF with a drifting bias per anchor",
-            ),
-            "tdoa-imu": Entry(
-                "uwb_imu.body_rows",
-                "tdoa and imu",
-                "position, velocity and attitude from range differences and an IMU, error-state EKF",
-            ),
-        },
-        # No recording with a floor plan.
-        "fixes on a floor plan": {
-            "floor-pf": Entry(
-                "baselines.rows",
-                "fixes, and [floor]",
-                "position from fixes on a floor with walls, particle filter with 1,000 particles",
-            ),
-        },
-        # iasl-drone and all of tiers: the first five are ties, and the simplest is the first.
-        "fixes": {
-            "fix-kf": Entry(
-                "baselines.rows", "fixes", "position from fixes, Kalman filter, constant velocity in x and y"
-            ),
-            "fix-singer": Entry(
-                "baselines.rows", "fixes", "position from fixes, Kalman filter, Singer's acceleration model"
-            ),
-            "imm": Entry(
-                "baselines.rows", "fixes", "position from fixes, IMM filter of three constant-velocity models"
-            ),
-            "mhk-stamped": Entry(
-                "mhk.rows", "fixes", "mhk, with each estimate at the time of the middle of its median window"
-            ),
-            "fix-mirror": Entry(
-                "baselines.rows",
-                "fixes",
-                "position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides",
-            ),
-            "moving-average": Entry("baselines.rows", "fixes", "mean of the last 9 fixes, axis by axis"),
-            "median": Entry("baselines.rows", "fixes", "median of the last 9 fixes, axis by axis"),
-            "mhk": Entry(
-                "mhk.rows",
-                "fixes",
-                "position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter "
-                "(Huang et al.)",
-            ),
-        },
-    }
-)
+ENTRIES: Mapping[str, Entry] = {
+    # Phases of several stations. No recording: phases of one station alone.
+    "direct": Entry("aoa.rows", "phases", "position from the phases of all stations in one EKF, spherical waves"),
+    "cascade": Entry(
+        "aoa.rows",
+        "phases",
+        "3-D position from phases, a beam tracker per station, then bearings-only fusion (Will et al.)",
+    ),
+    # Phases of a station: ble51-uca, six of them.
+    "beam": Entry("aoa.rows", "phases", "azimuth and elevation per station from phases, EKF (Will et al.)"),
+    "das": Entry(
+        "aoa.rows",
+        "phases",
+        "azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
+    ),
+    # Several kinds of readings. No recording with two kinds that are independent.
+    "fusion": Entry(
+        "fusion.rows",
+        "two or more of ranges, tdoa, bearings and fixes",
+        "position from ranges, range differences, bearings and fixes in one EKF, with the biases of each kind",
+    ),
+    # Bearings.
+    "bearings": Entry("aoa.rows", "bearings", "position from azimuths and elevations of any number of stations, EKF"),
+    # Readings along a known path: ngbui-line, all six.
+    "line-grid": Entry(
+        "line.rows",
+        "ranges or fixes, and [path]",
+        "position on a known path from ranges or fixes, grid filter of arclength and speed",
+    ),
+    "line-pf": Entry(
+        "line.rows",
+        "ranges or fixes, and [path]",
+        "position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis)",
+    ),
+    # Ranges: lias-still, all three, and all of the others that are not the first of their kind. With an IMU the two of
+    # ngbui-line-3, which it makes worse, outweigh the other four.
+    "uwb": Entry("uwb_imu.rows", "ranges", "position from ranges, EKF with a drifting bias per anchor"),
+    "body": Entry(
+        "uwb_imu.body_rows",
+        "ranges and odometry",
+        "position and heading of a body from the ranges of its tags, and from its odometry if any, EKF",
+    ),
+    "uwb-imu": Entry(
+        "uwb_imu.body_rows", "ranges and imu", "position, velocity and attitude from ranges and an IMU, error-state EKF"
+    ),
+    "multilateration": Entry(
+        "uwb_imu.snapshots", "ranges", "position from the latest ranges, robust least squares without a filter"
+    ),
+    "trilateration": Entry(
+        "uwb_imu.snapshots",
+        "ranges",
+        "planar position from three ranges, intersection of circles (Kwon et al.) without compensation (14)",
+    ),
+    "trilateration-compensated": Entry(
+        "uwb_imu.snapshots",
+        "ranges",
+        "planar position from three ranges, intersection of circles with compensation (14) (Kwon et al.)",
+    ),
+    # Range differences: the three of util.
+    "tdoa": Entry(
+        "uwb_imu.difference_rows", "tdoa", "position from range differences, EKF with a drifting bias per anchor"
+    ),
+    "tdoa-imu": Entry(
+        "uwb_imu.body_rows",
+        "tdoa and imu",
+        "position, velocity and attitude from range differences and an IMU, error-state EKF",
+    ),
+    # Fixes on a floor plan: no recording.
+    "floor-pf": Entry(
+        "baselines.rows",
+        "fixes, and [floor]",
+        "position from fixes on a floor with walls, particle filter with 1,000 particles",
+    ),
+    # Fixes: iasl-drone and all of tiers: the first five are ties, and the simplest is the first.
+    "fix-kf": Entry("baselines.rows", "fixes", "position from fixes, Kalman filter, constant velocity in x and y"),
+    "fix-singer": Entry("baselines.rows", "fixes", "position from fixes, Kalman filter, Singer's acceleration model"),
+    "imm": Entry("baselines.rows", "fixes", "position from fixes, IMM filter of three constant-velocity models"),
+    "mhk-stamped": Entry("mhk.rows", "fixes", "mhk, with each estimate at the time of the middle of its median window"),
+    "fix-mirror": Entry(
+        "baselines.rows",
+        "fixes",
+        "position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides",
+    ),
+    "moving-average": Entry("baselines.rows", "fixes", "mean of the last 9 fixes, axis by axis"),
+    "median": Entry("baselines.rows", "fixes", "median of the last 9 fixes, axis by axis"),
+    "mhk": Entry(
+        "mhk.rows",
+        "fixes",
+        "position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter (Huang et al.)",
+    ),
+}
 """The trackers by kind of readings, in the order in which these are tried where none is named.
 
-The order within a kind is by the errors on recordings on which the levels of neither tracker were fitted, named
-above.
+The order within a kind is by the errors on recordings on which the levels of neither tracker were fitted, named above.
 """
-
-ENTRIES: Mapping[str, Entry] = MappingProxyType(
-    {name: entry for entries in PREFERENCE.values() for name, entry in entries.items()}
-)
 
 
 class _Catalogue(Mapping[str, "TrackerSpec"]):

@@ -62,10 +62,8 @@ def fix_recording(
     elif not seen[:, 2].any():
         # A tracker over the floor predicts z from the height; without any z the prediction is compared with nothing.
         height = 0.0
-    variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like(std, values)) ** 2
-    return Recording(
-        times, {FIXES: Readings(values, seen, variances)}, _height(times, height), _truth(truth, len(times)), name
-    )
+    readings = {FIXES: Readings(values, seen, _variances(std, values))}
+    return Recording(times, readings, _height(times, height), _truth(truth, len(times)), name)
 
 
 def range_recording(
@@ -90,21 +88,20 @@ def range_recording(
     if anchors.ndim != 2 or anchors.shape[1] != 3:
         raise UnusableInput(f"anchors have shape {anchors.shape}; expected (A, 3), m")
     _warn_of_map("range_recording", anchors)
-    table, true = np.asarray(ranges, float), _truth(truth, len(times))
+    check_times(name, seconds(times))
+    table, truths = np.asarray(ranges, float), _truth(truth, len(times))
+    variances = _variances(std, table)
     if anchor is None:
         if table.ndim != 2 or table.shape[1] != len(anchors):
             raise UnusableInput(
                 f"ranges have shape {table.shape}; expected (T, {len(anchors)}), one per anchor, or (T,) and anchor="
             )
-        # Rows are checked as they were given, before each range becomes one.
-        check_times(name, seconds(times))
         kept = _masked("ranges", table, len(times))[1]
         if not kept.any():
             raise UnusableInput(f"ranges of shape {table.shape} are all NaN; expected one or more, m")
         row, number = np.nonzero(kept)
-        times, table = seconds(times)[row], table[kept]
-        std = None if std is None else _like(std, kept)[kept]
-        true = {name: (place[row], known[row]) for name, (place, known) in true.items()}
+        times, table, variances = seconds(times)[row], table[kept], variances[kept]
+        truths = {key: (values[row], known[row]) for key, (values, known) in truths.items()}
     else:
         number = np.asarray(anchor, int)
         if table.ndim != 1 or number.shape != table.shape or not np.all((number >= 0) & (number < len(anchors))):
@@ -114,15 +111,13 @@ def range_recording(
             )
     values, seen = _masked("ranges", table[:, None], len(times))
     seen &= values > 0.0
-    check_times(name, seconds(times))
     rig = Rig("arrays", anchors={str(number): place for number, place in enumerate(anchors)}, side=side)
     _refuse_other_units("range_recording", seconds(times), rig, "ranges", {"range_m": values[seen]})
-    variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like(std, table))[:, None] ** 2
-    readings = Readings(values, seen, variances)
+    readings = Readings(values, seen, variances[:, None])
     ends, heights = np.array([0, len(values)]), np.array([np.nan if height is None else height], float)
     inputs = range_inputs(ends, seconds(times), readings, number, anchors, heights, rig)
     inputs[ROOM.name] = room_rows(anchors, None, len(values))
-    return Recording(times, {RANGES: readings}, inputs | _height(times, height), true, name)
+    return Recording(times, {RANGES: readings}, inputs | _height(times, height), truths, name)
 
 
 def bearing_recording(
@@ -150,8 +145,7 @@ def bearing_recording(
     geometry = {key: bearing_inputs(s) for key, s in stations.items()}
     where = np.stack([geometry[s] for s in station])
     _warn_of_map("bearing_recording", where[:, :3])
-    spread = np.zeros(values.shape) if std is None else np.nan_to_num(_like(std, values))
-    reported = np.stack([spread[:, 0] ** 2, np.zeros(len(spread)), spread[:, 1] ** 2], axis=1)
+    reported = np.insert(_variances(std, values), 1, 0.0, axis=1)
     nearby = recent_points(seconds(times), where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height)
     number = np.array([list(stations).index(s) for s in station], float)
     inputs = {"origin": where[:, :3], "axes": where[:, 3:], "station": number, "nearby": nearby}
@@ -216,11 +210,12 @@ def _masked(what: str, values: np.ndarray, rows: int) -> tuple[np.ndarray, np.nd
     return np.where(seen, values, 0.0), seen
 
 
-def _like(values: np.ndarray, other: np.ndarray) -> np.ndarray:
-    values = np.asarray(values, float)
-    if values.shape[: other.ndim] != other.shape[: values.ndim] or values.ndim != other.ndim:
-        raise UnusableInput(f"std has shape {values.shape}; expected {other.shape}, as of the measurements")
-    return values
+def _variances(std: np.ndarray | None, values: np.ndarray) -> np.ndarray:
+    """The squares of reported standard deviations, zero where there is none."""
+    known = np.zeros(values.shape) if std is None else np.asarray(std, float)
+    if known.shape != values.shape:
+        raise UnusableInput(f"std has shape {known.shape}; expected {values.shape}, as of the measurements")
+    return np.nan_to_num(known) ** 2
 
 
 def _height(times: np.ndarray, height: float | None) -> dict[str, np.ndarray]:

@@ -69,14 +69,13 @@ def linear(
     forward, control = _product("F", F, size, size), None if B is None else _product("B", B, size)
 
     def step(x: Vector, dt: Scalar, inputs: Inputs) -> list[Scalar]:
-        moved = forward(x, (dt, inputs))
+        moved = forward(x, dt, inputs)
         if control is None:
             return moved
         u = jnp.atleast_1d(jnp.asarray(inputs["u"]))
-        return [a + b for a, b in zip(moved, control([u[k] for k in range(len(u))], (dt, inputs)), strict=True)]
+        return [a + b for a, b in zip(moved, control([u[k] for k in range(len(u))], dt, inputs), strict=True)]
 
-    measured = {name: _product(f"H of {name}", h, None, size) for name, h in sensors.items()}
-    functions = {name: (lambda x, inputs, h=h: h(x, (inputs,))) for name, h in measured.items()}
+    functions = {name: _product(f"H of {name}", h, None, size) for name, h in sensors.items()}
     return _tracker(step, functions, Q, R, size, x0, P0, state)
 
 
@@ -269,12 +268,10 @@ def _tracker(
     noises = R if isinstance(R, Mapping) else {SENSOR: R}
     if set(noises) != set(functions):
         raise UnusableInput(f"sensors {', '.join(functions)} and R of {', '.join(noises)}; expected the same names")
-    sensors = {}
+    names, sensors = tuple(part for part, _ in parts), dict[str, AbstractSensor]()
     for name, function in functions.items():
         noise = _noise(f"R of {name}", noises[name], None, "measurement noise")
-        sensors[name] = _Sensor(
-            R=noise, function=function, size=noise.size, view_fields=tuple(part for part, _ in parts)
-        )
+        sensors[name] = _Sensor(R=noise, function=function, size=noise.size, view_fields=names)
     motion = _Motion(_noise("Q", Q, size, "process noise"), step, parts)
     start = _Prior(tuple(mean.tolist()), tuple(float(cov[i, j]) for i, j in triangle(size)), parts)
     return Tracker(motion, sensors, start, track_loss=TrackLossPolicy(np.inf, max_gap=np.inf))
@@ -314,7 +311,7 @@ def _product(what: str, matrix: Any, rows: int | None, columns: int | None = Non
     """The function of a vector and further arguments that multiplies by a matrix, or by what a function returns."""
     if callable(matrix):
 
-        def varying(x: Sequence[Scalar], arguments: tuple[Any, ...]) -> list[Scalar]:
+        def varying(x: Sequence[Scalar], *arguments: Any) -> list[Scalar]:
             array = jnp.asarray(_called(matrix, *arguments))
             return [total(array[i, j] * v for j, v in enumerate(x)) for i in range(array.shape[0])]
 
@@ -324,7 +321,7 @@ def _product(what: str, matrix: Any, rows: int | None, columns: int | None = Non
         raise UnusableInput(f"{what} has shape {array.shape}; expected ({rows or 'm'}, {columns or 'k'})")
     # Zeros and ones cost nothing.
     entries = [{j: float(v) for j, v in enumerate(row) if v} for row in array]
-    return lambda x, _: [total(times(a, x[j]) for j, a in row.items()) for row in entries]
+    return lambda x, *_: [total(times(a, x[j]) for j, a in row.items()) for row in entries]
 
 
 def _called(function: Callable[..., Any], *arguments: Any) -> Any:

@@ -19,7 +19,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackwright.trackers.recordings.tracks import TrackerBatch, batches
-from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
+from trackwright.trackers.recordings.trajectories import Trajectory, segments, with_floor_truth
 from trackwright.tuning.objectives import (
     AbstractObjective,
     MissingQuantityError,
@@ -63,6 +63,24 @@ def _rows(batch: Batch, needs_truth: bool) -> Float[np.ndarray, " B"]:
     return counted.sum(axis=0).astype(float)
 
 
+class FitRows(NamedTuple):
+    """Batches of trajectories, and the recording and the weight of each trajectory of each of them."""
+
+    batches: Sequence[Batch]
+    recordings: Sequence[Sequence[str]]
+    weights: list[Float[np.ndarray, " B"]]
+
+    @classmethod
+    def of(cls, batches: Sequence[Batch], recordings: Sequence[Sequence[str]], objective: AbstractObjective) -> FitRows:
+        """The rows with weights for an objective."""
+        return cls(batches, recordings, trajectory_weights(batches, recordings, objective.needs_truth))
+
+    def recordings_of(self, problem: Problem) -> list[str]:
+        """The recording of each trajectory of the problem, empty for padding."""
+        pairs = zip(self.recordings, problem.sizes, strict=True)
+        return [name for names, size in pairs for name in [*names, *[""] * (size - len(names))]]
+
+
 @dataclass(frozen=True)
 class FitData:
     """The trajectories of recording folders that a tracker is fitted to, those held out, and the objective.
@@ -80,21 +98,20 @@ class FitData:
     held_out: list[Trajectory]
     unused: tuple[str, ...] = ()
 
-    def batches(self, held_out: bool = False) -> list[Batch]:
-        """The rows of the trajectories to fit to, or of those held out, in batches."""
-        return [batch for _, batch in self._groups[held_out]]
-
-    def weights(self, held_out: bool = False) -> list[Float[np.ndarray, " B"]]:
-        """The weight of each trajectory of `batches`."""
-        return trajectory_weights(self.batches(held_out), self.recordings(held_out), self.objective.needs_truth)
-
-    def recordings(self, held_out: bool = False) -> list[list[str]]:
-        """The name of the recording of each trajectory of `batches`."""
-        return [[folder.name for folder in group.folders] for group, _ in self._groups[held_out]]
+    @cached_property
+    def rows(self) -> FitRows:
+        """The trajectories to fit to, in batches."""
+        return self._in_batches(self.training)
 
     @cached_property
-    def _groups(self) -> list[list[tuple[Trajectories, Batch]]]:
-        return [batches(part) if part else [] for part in (self.training, self.held_out)]
+    def rows_apart(self) -> FitRows:
+        """The trajectories held out, in batches."""
+        return self._in_batches(self.held_out)
+
+    def _in_batches(self, part: list[Trajectory]) -> FitRows:
+        groups = batches(part) if part else []
+        names = [[folder.name for folder in group.folders] for group, _ in groups]
+        return FitRows.of([batch for _, batch in groups], names, self.objective)
 
 
 def fit_data(
@@ -119,13 +136,14 @@ def fit_data(
         whole = [with_floor_truth(trajectory) for trajectory in whole]
     trajectories = [segment for trajectory in whole for segment in segments(trajectory, segment_rows)]
     known = [bool(trajectory.recording.truth[quantity][1].any()) for trajectory in trajectories]
+    singular = batch.planar and bool(trajectories[0].station)
     if objective is None:
         with_truth = {t.folder.name for t, has in zip(trajectories, known, strict=True) if has}
-        enough = bool(with_truth - apart) and (not apart or bool(with_truth & apart))
-        objective = _default_objective(batch, trajectories, quantity) if enough else "nll"
+        enough = bool(with_truth - apart) and (not apart or bool(with_truth & apart)) and not singular
+        objective = _default_objective(batch.tracker, stack([trajectories[0].recording]), quantity, enough)
     goal = named_objective(objective, quantity, 2 if floor else 3)
     name = name_of(objective)
-    if goal.needs_truth and batch.planar and trajectories[0].station:
+    if goal.needs_truth and singular:
         raise UnusableInput(
             f"objective {name}: azimuth and elevation of a tag in a flat array's own plane are singular; "
             "expected a tag above or below it; use the objective nll"
@@ -154,9 +172,7 @@ def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | 
     rigs = {trajectory.folder.name: trajectory.folder.rig for trajectory in batch.trajectories}
     if any(rig.anchors and np.ptp([place[2] for place in rig.anchors.values()]) <= FLAT_M for rig in rigs.values()):
         return 2
-    first = stack([batch.trajectories[0].recording]).rows(slice(0, 2)).columns(0, 1)
-    mean = jax.eval_shape(lambda: batch.tracker.scan(first)[0]).mean
-    if len(jax.tree_util.tree_leaves(getattr(mean, "position", ()))) < 3:
+    if _components(batch.tracker, stack([batch.trajectories[0].recording]), "position") < 3:
         return 2
     known = [bool(trajectory.recording.truth["position"][1].any()) for trajectory in batch.trajectories]
     lacking = [trajectory for trajectory, has in zip(batch.trajectories, known, strict=True) if not has]
@@ -164,30 +180,32 @@ def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | 
     return 3 if any(known) and not over_floor else 2
 
 
+def _components(tracker: AbstractTracker, batch: Batch, quantity: str) -> int:
+    """The number of components of a quantity that a tracker estimates."""
+    first = batch.rows(slice(0, 2)).columns(0, 1)
+    mean = jax.eval_shape(lambda: tracker.scan(first)[0]).mean
+    return len(jax.tree_util.tree_leaves(getattr(mean, quantity, ())))
+
+
 def _quantity(batch: TrackerBatch) -> str:
     """The quantity of the truth."""
     return next(iter(batch.trajectories[0].recording.truth))
 
 
-def _default_objective(batch: TrackerBatch, trajectories: Sequence[Trajectory], quantity: str) -> str:
-    """`state-nll` where the tracker reports a covariance of the true quantity, else `nll`.
+def _default_objective(tracker: AbstractTracker, batch: Batch, quantity: str, known: bool) -> str:
+    """`state-nll` where the true quantity is known and reported with a covariance, else `nll`.
 
-    A particle filter has no gradient of the first, and a direction in a flat array's own plane is singular.
+    A particle filter has no gradient of the first.
     """
-    if is_stochastic(batch.tracker) or (batch.planar and trajectories[0].station):
+    if not known or is_stochastic(tracker):
         return "nll"
-    return "state-nll" if is_judged(batch.tracker, stack([trajectories[0].recording]), quantity) else "nll"
-
-
-def is_judged(tracker: AbstractTracker, batch: Batch, quantity: str) -> bool:
-    """Whether the tracker estimates the quantity with a covariance."""
     first = batch.rows(slice(0, 2)).columns(0, 1)
     try:
         goal = StateLogLikelihood(quantity, min(2, len(first.truth[quantity][0])))
         jax.eval_shape(lambda: tracker.accumulate(first, goal.terms))
     except MissingQuantityError:
-        return False
-    return True
+        return "nll"
+    return "state-nll"
 
 
 def named_objective(objective: str | AbstractObjective, quantity: str, dimensions: int) -> AbstractObjective:
@@ -206,32 +224,12 @@ Arrays = Recording | Batch | Sequence[Recording] | Sequence[Batch]
 
 
 class FitArrays(NamedTuple):
-    """A tracker, the batches to fit it to and to hold out with their weights, and the objective.
-
-    `folders`: of the recordings fitted to, none of those in arrays.
-    """
+    """As `FitData`, of recordings in arrays."""
 
     tracker: AbstractTracker
-    training: Sequence[Batch]
-    held_out: Sequence[Batch]
     objective: AbstractObjective
-    weights: list[Float[np.ndarray, " B"]]
-    held_out_weights: list[Float[np.ndarray, " B"]]
-    recordings: list[list[str]]
-    folders: Sequence[RecordingFolder] = ()
-
-    def recordings_of(self, problem: Problem) -> list[str]:
-        """The recording of each trajectory of the problem, empty for padding."""
-        pairs = zip(self.recordings, problem.sizes, strict=True)
-        return [name for names, size in pairs for name in [*names, *[""] * (size - len(names))]]
-
-    @classmethod
-    def of(cls, data: FitData) -> FitArrays:
-        """The arrays of recording folders."""
-        weights = (data.weights(), data.weights(held_out=True))
-        groups = data.batches(), data.batches(held_out=True)
-        folders = list({id(trajectory.folder): trajectory.folder for trajectory in data.training}.values())
-        return cls(data.tracker, *groups, data.objective, *weights, data.recordings(), folders)
+    rows: FitRows
+    rows_apart: FitRows
 
 
 def fit_arrays(
@@ -240,10 +238,10 @@ def fit_arrays(
     objective: str | AbstractObjective | None,
     held_out: Any,
     dimensions: int | None = None,
-) -> FitArrays:
+) -> FitData | FitArrays:
     """Tracker, batches and objective of a fit, from what `tuning.fit` takes; raises UnusableInput, a ValueError."""
     if isinstance(recordings, FitData):
-        return FitArrays.of(recordings)
+        return recordings
     if isinstance(tracker, NamedTracker):
         if tracker.smoothed:
             raise UnusableInput(
@@ -252,7 +250,7 @@ def fit_arrays(
         training = folder_list(recordings)
         apart = folder_list(held_out) if held_out != () else []
         batch = tracker.only_batch([*training, *apart])
-        return FitArrays.of(fit_data(batch, objective, apart, dimensions=dimensions))
+        return fit_data(batch, objective, apart, dimensions=dimensions)
     if not isinstance(tracker, AbstractTracker):
         raise UnusableInput(
             f"fit: found {type(tracker).__name__} for the tracker; expected a tracker of arrays or by name; usual fix: "
@@ -261,10 +259,7 @@ def fit_arrays(
     batches = _batches(tracker, recordings)
     apart_batches = [] if isinstance(held_out, (tuple, list)) and not held_out else _batches(tracker, held_out)
     goal = _array_objective(objective, tracker, batches, apart_batches, dimensions)
-    names, apart_names = (_numbered(rows) for rows in (batches, apart_batches))
-    weights = trajectory_weights(batches, names, goal.needs_truth)
-    apart_weights = trajectory_weights(apart_batches, apart_names, goal.needs_truth)
-    return FitArrays(tracker, batches, apart_batches, goal, weights, apart_weights, names)
+    return FitArrays(tracker, goal, *(FitRows.of(part, _numbered(part), goal) for part in (batches, apart_batches)))
 
 
 def _numbered(rows: Sequence[Batch]) -> list[list[str]]:
@@ -287,15 +282,6 @@ def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:
     return [stack([checked] if isinstance(checked, Recording) else checked)]
 
 
-def _check_truth(objective: str | AbstractObjective, batches: Sequence[Batch], where: str) -> None:
-    """Raises UnusableInput for batches without any row whose truth is known."""
-    if batches and not _has_truth(batches):
-        raise UnusableInput(
-            f"fit: {where} have no known truth; expected some, which the objective {name_of(objective)} needs; usual "
-            "fix: `truth=` where the recordings are made, or the objective nll"
-        )
-
-
 def _has_truth(batches: Sequence[Batch]) -> bool:
     return any(bool(np.any(known)) for batch in batches for _, known in batch.truth.values())
 
@@ -315,16 +301,16 @@ def _array_objective(
     quantity = next(iter(rows[0].truth), "position")
     if objective is None:
         known = all(_has_truth(part) for part in (rows, apart) if part)
-        judged = known and not is_stochastic(tracker) and is_judged(tracker, rows[0], quantity)
-        objective = "state-nll" if judged else "nll"
+        objective = _default_objective(tracker, rows[0], quantity, known)
     goal = named_objective(objective, quantity, 2)
-    if goal.needs_truth:
-        _check_truth(objective, rows, "the recordings")
-        _check_truth(objective, apart, "the held-out recordings")
+    for part, where in ((rows, "the recordings"), (apart, "the held-out recordings")):
+        if goal.needs_truth and part and not _has_truth(part):
+            raise UnusableInput(
+                f"fit: {where} have no known truth; expected some, which the objective {name_of(objective)} needs; "
+                "usual fix: `truth=` where the recordings are made, or the objective nll"
+            )
     if not (goal.needs_truth and isinstance(objective, str)):
         return goal
-    first = rows[0].rows(slice(0, 2)).columns(0, 1)
-    mean = jax.eval_shape(lambda: tracker.scan(first)[0]).mean
-    estimated = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2
+    estimated = _components(tracker, rows[0], quantity) or 2
     true = rows[0].truth[quantity][0].shape[1] if "state-nll" in objective else 2
     return named_objective(objective, quantity, min(dimensions or true, estimated))

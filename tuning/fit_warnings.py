@@ -15,14 +15,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, component_names, split
 from trackwright.tuning.problem import Problem
-from trackwright.tuning.uncertainty import (
-    MIN_TRAJECTORIES,
-    Interval,
-    Uncertainty,
-    loose_groups,
-    unidentifiable,
-    unused,
-)
+from trackwright.tuning.uncertainty import MIN_TRAJECTORIES, Interval, Uncertainty, loose_groups, unidentifiable, unused
 from trackwright.tuning.weight import rows_and_inflation
 
 COLLAPSED = 1e-3

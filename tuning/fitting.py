@@ -21,15 +21,7 @@ from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
 from trackwright.tuning.fit_warnings import Issue, finished_cautions, identifiability_issues
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.optimisation import (
-    LBFGS,
-    AbstractOptimiser,
-    Adam,
-    FitState,
-    MultiStart,
-    initial_state,
-    newton,
-)
+from trackwright.tuning.optimisation import LBFGS, AbstractOptimiser, Adam, FitState, MultiStart, initial_state, newton
 from trackwright.tuning.parameters import (
     Parameter,
     Prior,
@@ -119,7 +111,7 @@ class FitResult(Generic[AnyTracker]):
     @property
     def n_excluded(self) -> int:
         """The number of trajectories without usable gradients at the best point."""
-        return self.problem.n_excluded(self.evaluation)
+        return int(self.problem.valid.sum() - self.evaluation.used.sum())
 
     @cached_property
     def cautions(self) -> list[str]:
@@ -213,18 +205,19 @@ def fit(
     """
     frozen, bounds, chunk = options.frozen, options.bounds, options.chunk
     data = fit_arrays(tracker, recordings, objective, options.held_out, options.dimensions)
-    model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
+    model, objective = data.tracker, data.objective
     tune = tuned_by_default(model, objective.needs_truth) if tune is None else tune
     parameters = select_parameters(model, tune, frozen)
     model = known(model, [name for parameter in parameters for name in parameter.names])
-    problem = Problem(model, batches, objective, parameters, chunk, data.weights)
-    names = data.recordings_of(problem)
-    if objective.is_likelihood and not problem.stochastic:
-        problem.discount = discount(problem, flatten(parameters), len({*names, ""}) - 1)
+    problem = Problem(model, data.rows.batches, objective, parameters, chunk, data.rows.weights)
+    names = data.rows.recordings_of(problem)
+    likelihood, number = objective.is_likelihood and not problem.stochastic, len({*names, ""}) - 1
+    if likelihood:
+        problem.discount = discount(problem, flatten(parameters), number)
         problem.prior = Prior.of(parameters, options.prior)
     scoring = None
-    if apart:
-        scoring = Problem(model, apart, objective, parameters, chunk, data.held_out_weights)
+    if data.rows_apart.batches:
+        scoring = Problem(model, data.rows_apart.batches, objective, parameters, chunk, data.rows_apart.weights)
     low, high = limits(parameters, bounds)
     if (hidden := _hidden(parameters, objective)).any():
         low, high = (np.where(hidden, flatten(parameters), ends) for ends in (low, high))
@@ -234,6 +227,7 @@ def fit(
     driver = MultiStart(problem, optimiser, options.steps, low, high, scoring)
     if progress.resume is not None:
         state = from_arrays(optimiser, progress.resume)
+        problem.filter_runs = int(state.filter_runs)
     else:
         state = initial_state(driver, flatten(parameters), options.starts)
     interrupted = False
@@ -245,8 +239,12 @@ def fit(
     except KeyboardInterrupt:
         interrupted = True
     progress.stage("the best values so far" if interrupted else "intervals")
-    if not interrupted and scoring is None and problem.prior.precision.any():
+    flat = not problem.prior.precision.any()
+    if not (interrupted or flat or scoring):
         state = weighed_anew(driver, tempered_anew(driver, state), names)
+    elif flat and likelihood and not interrupted:
+        # It scales intervals alone. At levels that are far off errors are correlated that are not at the fitted ones.
+        problem.discount = discount(problem, state.best_vectors[np.argmin(state.best_scores)], number)
     result = _result(model, driver, state, interrupted)
     result = replace(result, recordings=names)
     if isinstance(tracker, NamedTracker):
@@ -266,22 +264,21 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     """The result at the best point met, after a few Newton steps of a likelihood."""
     problem, parameters = driver.problem, driver.problem.parameters
     winner, start = int(np.argmin(state.best_scores)), state.past_vectors[0, 0]
-    (vector, vectors), uncertainty = _best_vector(problem, state, winner), None
+    vector, uncertainty = _best_vector(problem, state, winner), None
     if interrupted:
-        last, vectors = problem.evaluate(vector), vectors + 1
+        last = problem.evaluate(vector)
     else:
-        best, more = newton(driver, vector)
-        vector, last, vectors = best.vector, best.evaluation, vectors + more
-        bound, hidden = driver.at_bound(vector, best.gradient), driver.low == driver.high
+        best = newton(driver, vector)
+        bound, hidden = driver.at_bound(best.vector, best.gradient), driver.low == driver.high
         uncertainty = uncertainty_at(problem, best, bound, hidden)
-        kept = None
         # A point that others select is no optimum, and its curvature shows nothing.
         if driver.held_out is None and not best.prior.any():
-            kept = kept_at_start(problem, uncertainty, start, float(state.past_values[0, 0]) - best.value)
-        if kept is not None and kept.at_start.any():
-            best = optimum(problem, kept.vector)
-            vector, last, vectors = best.vector, best.evaluation, vectors + kept.vectors + 2 * len(vector) + 1
-            uncertainty = uncertainty_at(problem, best, bound, kept.at_start | hidden)
+            gain = float(state.past_values[0, 0]) - best.value
+            kept, at_start = kept_at_start(problem, uncertainty, start, gain)
+            if at_start.any():
+                best = optimum(problem, kept)
+                uncertainty = uncertainty_at(problem, best, bound, at_start | hidden)
+        vector, last = best.vector, best.evaluation
     value = float(problem.finite_values(vector, last.terms)[0])
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     if not np.array_equal(vector, state.best_vectors[winner]):
@@ -294,7 +291,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         problem=problem,
         vector=vector,
         evaluation=last,
-        filter_runs=int(state.filter_runs) + vectors * problem.n_trajectories,
+        filter_runs=driver.filter_runs,
         uncertainty=uncertainty,
         before=with_parameters(tracker, parameters, start),
         limits=(driver.low, driver.high),
@@ -305,22 +302,22 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     )
 
 
-def _best_vector(problem: Problem, state: FitState, winner: int) -> tuple[Float[np.ndarray, " p"], int]:
+def _best_vector(problem: Problem, state: FitState, winner: int) -> Float[np.ndarray, " p"]:
     """The winner's best point, with the tracker's own values for parameters that have no effect on these recordings.
 
-    Other recordings may depend on them. Second: the number of vectors evaluated.
+    Other recordings may depend on them.
     """
     vector, (start, first) = state.best_vectors[winner], state.past_vectors[0, [0, winner]]
     if np.array_equal(start, first):
-        return vector, 0
+        return vector
     evaluation = problem.evaluate(vector)
     no_effect = unidentifiable(evaluation.term_gradients) & (start != first)
     if not no_effect.any():
-        return vector, 1
+        return vector
     restored = np.where(no_effect, start, vector)
     other = problem.finite_values(restored, problem.evaluate(restored).terms)
     as_good = other[0] <= problem.finite_values(vector, evaluation.terms)[0]
-    return restored if as_good else vector, 2
+    return restored if as_good else vector
 
 
 def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list[Step]:
@@ -362,9 +359,8 @@ def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
     recordings = np.asarray(result.recordings)
     weights = np.stack([uncertainty.optimum.used & ~np.isin(recordings, fold) for fold in folds]).astype(float)
     starts = np.tile(result.vector, (len(folds), 1))
-    vectors = refit(
-        result.problem, starts, uncertainty.optimum.hessian, ~uncertainty.at_bound, weights, LEFT_OUT_ROUNDS
-    ).vectors
+    hessian, free = uncertainty.optimum.hessian, ~uncertainty.at_bound
+    vectors, _ = refit(result.problem, starts, hessian, free, weights, LEFT_OUT_ROUNDS)
     values = [by_label(result.parameters, np.clip(vector, *result.limits)) for vector in vectors]
     return {
         name: of_fold
@@ -399,10 +395,10 @@ def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float
         return replace(trajectory, recording=replace(recording, truth={quantity: (values, rest)}))
 
     for start, stop in pairwise(edges.tolist()):
-        part = replace(data, training=[hidden(trajectory) for trajectory in data.training])
-        problem = Problem(fitted.tracker, part.batches(), fitted.objective, fitted.parameters, weights=part.weights())
+        rows = replace(data, training=[hidden(trajectory) for trajectory in data.training]).rows
+        problem = Problem(fitted.tracker, rows.batches, fitted.objective, fitted.parameters, weights=rows.weights)
         problem.prior, problem.discount = fitted.prior, fitted.discount
-        refitted = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
-        vector = np.clip(refitted.vectors[0], *result.limits)
+        vectors, _ = refit(problem, result.vector[None], uncertainty.optimum.hessian, free, None, LEFT_OUT_ROUNDS)
+        vector = np.clip(vectors[0], *result.limits)
         blocks.append((start, stop, by_label(result.parameters, vector)))
     return blocks

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.model.tunable import Covariance, Scale, role_of
 from trackwright.tuning.parameters import Parameter, split
-from trackwright.tuning.problem import Problem, weighted_sum
+from trackwright.tuning.problem import Evaluation, Problem, weighted_sum
 from trackwright.tuning.uncertainty import Optimum, determined, optimum
 
 Vectors = Float[np.ndarray, "S p"]
@@ -187,10 +187,7 @@ class MultiStart:
         state = FitState(
             number=np.array(0),
             vectors=vectors,
-            values=evaluation.values,
-            gradients=evaluation.gradients,
-            terms=evaluation.terms,
-            used=evaluation.used,
+            **_here(evaluation),
             optimiser_state=self.optimiser.init(vectors),
             best_scores=scores,
             best_vectors=vectors,
@@ -199,21 +196,19 @@ class MultiStart:
             past_values=np.zeros((0, len(vectors))),
             past_norms=np.zeros((0, len(vectors))),
             past_vectors=np.zeros((0, *vectors.shape)),
-            filter_runs=np.array(evaluation.filter_runs + self._score_runs(vectors)),
+            filter_runs=np.array(0),
         )
         return self._with_trace(state)
 
     def step(self, state: FitState) -> FitState:
         """The state after one more step; a start that has converged, or whose step fails at any length, ends there."""
-        number, runs = int(state.number) + 1, 0
+        number = int(state.number) + 1
         if self.problem.stochastic:
             # With other random numbers the objective at the present points has changed.
-            again = self.problem.evaluate(state.vectors, realisation=number)
-            runs += again.filter_runs
-            state = state._replace(values=again.values, gradients=again.gradients, terms=again.terms, used=again.used)
+            state = state._replace(**_here(self.problem.evaluate(state.vectors, realisation=number)))
         steps, optimiser_state = self.optimiser.propose(state.optimiser_state, state.vectors, state.gradients)
         vectors, gain = state.vectors.copy(), np.zeros(len(state.vectors))
-        after = tuple(x.copy() for x in (state.values, state.gradients, state.terms, state.used))
+        after = {name: x.copy() for name, x in _here(state).items()}
         pending, lengths = state.active.copy(), np.ones(len(state.vectors))
         least = self._min_gains(state.values, state.terms, state.used)
         for attempt in range(MAX_ATTEMPTS):
@@ -227,7 +222,6 @@ class MultiStart:
             index = np.flatnonzero(worth)
             trial = trial[index]
             evaluated = self.problem.evaluate(trial, realisation=number)
-            runs += evaluated.filter_runs
             # Which trajectories count differs from point to point; values are compared over the same ones.
             common = state.used[index] & evaluated.used
             gains = self.problem.values_over(common, state.vectors[index], state.terms[index])
@@ -237,14 +231,12 @@ class MultiStart:
                 accepted &= gains >= 0
             moved = index[accepted]
             vectors[moved], gain[moved] = trial[accepted], gains[accepted]
-            for old, new in zip(
-                after, (evaluated.values, evaluated.gradients, evaluated.terms, evaluated.used), strict=True
-            ):
-                old[moved] = new[accepted]
+            for name, new in _here(evaluated).items():
+                after[name][moved] = new[accepted]
             pending[moved] = False
             lengths[index] *= _shorter(slopes[index], gains)
         moved = state.active & ~pending
-        values, gradients, terms, used = after
+        values, gradients, terms, used = after.values()
         scores = np.where(moved, self._scores(vectors, terms), np.inf)
         better = scores < state.best_scores
         much = scores + (least if self.held_out is None else 0.0) < state.best_scores
@@ -257,23 +249,14 @@ class MultiStart:
             state._replace(
                 number=np.array(number),
                 vectors=vectors,
-                values=values,
-                gradients=gradients,
-                terms=terms,
-                used=used,
+                **after,
                 optimiser_state=optimiser_state,
                 best_scores=best_scores,
                 best_vectors=best_vectors,
                 stale=stale,
                 active=moved & ~ended,
-                filter_runs=state.filter_runs + runs + self._score_runs(vectors),
             )
         )
-
-    def scores(self, vectors: Float[np.ndarray, "S p"]) -> tuple[Float[np.ndarray, " S"], int]:
-        """The scores (S,) of vectors (S, p) by which starts are chosen, without derivatives, and the filter runs."""
-        problem = self.problem if self.held_out is None else self.held_out
-        return problem.values(vectors), len(vectors) * problem.n_trajectories
 
     def done(self, state: FitState) -> bool:
         """Whether no start continues."""
@@ -289,11 +272,10 @@ class MultiStart:
             return self.held_out.values(vectors)
         return self.problem.values(vectors) if self.problem.stochastic else self.problem.finite_values(vectors, terms)
 
-    def _score_runs(self, vectors: Float[np.ndarray, "S p"]) -> int:
-        """The trajectories that scores at these vectors filter."""
-        if self.held_out is not None:
-            return len(vectors) * self.held_out.n_trajectories
-        return len(vectors) * self.problem.n_trajectories if self.problem.stochastic else 0
+    @property
+    def filter_runs(self) -> int:
+        """The trajectories filtered so far, once per vector."""
+        return self.problem.filter_runs + (0 if self.held_out is None else self.held_out.filter_runs)
 
     def _duplicates(
         self,
@@ -326,6 +308,7 @@ class MultiStart:
             past_values=np.concatenate([state.past_values, values[None]]),
             past_norms=np.concatenate([state.past_norms, norms[None]]),
             past_vectors=np.concatenate([state.past_vectors, state.vectors[None]]),
+            filter_runs=np.array(self.filter_runs),
         )
 
     @property
@@ -334,6 +317,11 @@ class MultiStart:
         if self.held_out is not None:
             return self.max_stale
         return np.inf if self.problem.stochastic or self.optimiser.monotone else PATIENCE
+
+
+def _here(found: Evaluation | FitState) -> dict[str, np.ndarray]:
+    """The fields of the objective at the vectors, which evaluations and states share."""
+    return {name: getattr(found, name) for name in ("values", "gradients", "terms", "used")}
 
 
 def _shorter(slopes: Float[np.ndarray, " S"], gains: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
@@ -361,10 +349,10 @@ def initial_state(driver: MultiStart, vector: Float[np.ndarray, " p"], starts: i
 
     Starts with the same value differ in numbers without effect: one of them is taken.
     """
-    vectors, runs = vector[None], 0
+    vectors = vector[None]
     if starts > 1:
         vectors = np.clip(coarse_grid(driver.problem.parameters, vector), driver.low, driver.high)
-        scores, runs = driver.scores(vectors)
+        scores = (driver.held_out or driver.problem).values(vectors)
         best = [k for k in np.argsort(scores[1:], kind="stable") + 1 if np.isfinite(scores[k])]
         chosen = {float(scores[k]): k for k in reversed([0, *best])}
         vectors = vectors[[0, *(k for k in best if chosen[float(scores[k])] == k)][:starts]]
@@ -373,7 +361,7 @@ def initial_state(driver: MultiStart, vector: Float[np.ndarray, " p"], starts: i
         raise FloatingPointError(
             f"the objective is not finite at the start ({state.values[0]}): no row is scored, or truth is missing"
         )
-    return state._replace(filter_runs=state.filter_runs + runs)
+    return state
 
 
 def coarse_grid(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -> Float[np.ndarray, "S p"]:
@@ -401,17 +389,14 @@ def coarse_grid(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]
 NEWTON_STEPS = 4
 
 
-def newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> tuple[Optimum, int]:
+def newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> Optimum:
     """The optimum at a vector (p,) or after a few Newton steps from there, while they help.
 
-    For smooth likelihoods only, and not where held-out recordings select the point. Second: the number of vectors
-    evaluated.
+    For smooth likelihoods only, and not where held-out recordings select the point.
     """
     problem, best = driver.problem, optimum(driver.problem, vector)
-    n_each = 2 * len(vector) + 1
-    vectors = n_each
     if not np.isfinite(best.nats_per_unit) or driver.held_out is not None or problem.stochastic:
-        return best, vectors
+        return best
     for _ in range(NEWTON_STEPS):
         _, inverse, _ = determined(best.hessian, ~driver.at_bound(best.vector, best.gradient))
         step = -inverse @ best.gradient
@@ -421,9 +406,8 @@ def newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> tuple[Optimum
         step = step / max(1.0, float(np.linalg.norm(step)))
         vector = np.clip(best.vector + step, driver.low, driver.high)
         trial = problem.evaluate(vector)
-        vectors += 1
         before = problem.finite_values(best.vector, best.evaluation.terms)
         if not (trial.finite[0] and problem.finite_values(vector, trial.terms)[0] < before[0]):
             break
-        best, vectors = optimum(problem, vector), vectors + n_each
-    return best, vectors
+        best = optimum(problem, vector)
+    return best

@@ -92,19 +92,17 @@ def tuned_by_default(tracker: AbstractTracker, needs_truth: bool) -> tuple[str, 
 
 
 def select_parameters(
-    tracker: AbstractTracker, patterns: str | Sequence[str] | None, frozen: Sequence[str] = (), thresholds: bool = False
+    tracker: AbstractTracker, patterns: str | Sequence[str], frozen: Sequence[str] = (), thresholds: bool = False
 ) -> list[Parameter]:
     """The parameters that match the patterns, without the `frozen`; `tied:PATTERN` ties all its matches into one.
 
-    `patterns`: None for the noise levels of motion and sensors.
     `thresholds`: whether tunables without a derivative are among them, as for a sweep. Raises ValueError for a pattern
     without match, for one that matches only thresholds where these are left out, for tied tunables of different units
     or shapes, and where no parameter is left.
     """
     parameters: list[Parameter] = []
     taken: set[str] = set(matching(tracker, frozen)) if frozen else set()
-    chosen = noise_levels(tracker) if patterns is None else patterns
-    for pattern in [chosen] if isinstance(chosen, str) else chosen:
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
         matches = matching(tracker, pattern.removeprefix(TIED))
         if not thresholds:
             matches = _that_fits_change(pattern, matches)

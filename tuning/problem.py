@@ -171,8 +171,7 @@ class Evaluation(NamedTuple):
 
     `used` (S, n): the trajectories that count at each vector. `values` (S,), `gradients` (S, p): the objective over
     these and its derivatives; `sums` (S, k). `terms` (S, k, n), `term_gradients` (S, k, p, n): each trajectory's part
-    of the sums, times its weight, and its derivatives, not finite where a filter diverged. `filter_runs`: trajectories
-    filtered, once per vector.
+    of the sums, times its weight, and its derivatives, not finite where a filter diverged.
     """
 
     values: Float[np.ndarray, " S"]
@@ -181,12 +180,10 @@ class Evaluation(NamedTuple):
     terms: Float[np.ndarray, "S k n"]
     term_gradients: Float[np.ndarray, "S k p n"]
     used: Bool[np.ndarray, "S n"]
-    filter_runs: int
 
     def at(self, k: int) -> Evaluation:
         """The evaluation at vector `k` alone."""
-        alone = {name: x[k : k + 1] for name, x in self._asdict().items() if name != "filter_runs"}
-        return Evaluation(**alone, filter_runs=self.filter_runs // len(self.values))
+        return Evaluation(*(x[k : k + 1] for x in self))
 
     @property
     def finite(self) -> Bool[np.ndarray, " S"]:
@@ -202,7 +199,7 @@ class Problem:
     of fewer rows. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory and their
     derivatives are multiplied by its weight. `chunks`: the rows, on their devices; `rows`: of each chunk, the rows of
     each trajectory (B,). `sizes`: trajectories of each batch, with padding. `stochastic`: whether the tracker uses
-    random numbers.
+    random numbers. `filter_runs`: trajectories filtered so far, once per vector.
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
@@ -221,7 +218,7 @@ class Problem:
         weights: Sequence[Float[np.ndarray, " B"]] | None = None,
     ):
         self.objective, self.parameters = objective, list(parameters)
-        self.prior, self.discount = Prior.of(self.parameters, "flat"), 1.0
+        self.prior, self.discount, self.filter_runs = Prior.of(self.parameters, "flat"), 1.0, 0
         dtype = batches[0].columns(0, 1).dt.dtype
         self.tracker = as_dtype(tracker, dtype)
         start = jnp.asarray(flatten(self.parameters)[None], dtype)
@@ -264,8 +261,7 @@ class Problem:
         with np.errstate(invalid="ignore"):  # without a single scored row value and gradient are NaN
             gradients = np.einsum("sk,skp->sp", by_sum, weighted_sum(term_gradients, count))
         prior = self.prior_penalty(vectors, sums)
-        runs = self.n_trajectories * len(terms)
-        return Evaluation(values + prior.values, gradients + prior.gradients, sums, terms, term_gradients, used, runs)
+        return Evaluation(values + prior.values, gradients + prior.gradients, sums, terms, term_gradients, used)
 
     def values_over(self, count: Shaped[np.ndarray, "many n"], vectors: Vectors, terms: Terms) -> Values:
         """The objective (S,) at vectors (S, p) from its `terms` (S, k, n) there, over chosen trajectories.
@@ -274,10 +270,6 @@ class Problem:
         """
         sums = weighted_sum(terms, count)
         return self.values_of(sums) + self.prior_penalty(vectors, sums).values
-
-    def n_excluded(self, evaluation: Evaluation) -> int:
-        """The number of trajectories left out of an evaluation, at the vector with the fewest."""
-        return int(self.valid.sum() - evaluation.used.sum(axis=1).max())
 
     def values(self, vectors: Vectors) -> Values:
         """The objective (S,) at vectors (S, p) over all trajectories that are finite there, at a third of the cost.
@@ -289,11 +281,6 @@ class Problem:
     def finite_values(self, vectors: Vectors, terms: Terms) -> Values:
         """`values` (S,) from the terms (S, k, n) at vectors (S, p)."""
         return self.values_over(np.isfinite(terms).all(axis=1), vectors, terms)
-
-    @property
-    def n_trajectories(self) -> int:
-        """The number of trajectories that one vector filters."""
-        return int(self.valid.sum())
 
     def terms(self, vectors: Vectors, realisation: int = 0) -> Terms:
         """Each trajectory's part of the sums (S, k, n), without derivatives."""
@@ -344,6 +331,7 @@ class Problem:
         """The sums of `function` for every chunk at all vectors, float64 on the host."""
         vectors = np.atleast_2d(np.asarray(vectors, float))
         size, width = len(vectors), self.vectors_per_call
+        self.filter_runs += size * int(self.valid.sum())
         padded = np.concatenate([vectors, np.repeat(vectors[-1:], -size % width, axis=0)])
         blocks = padded.reshape(len(padded) // width, width, vectors.shape[1])
         reduced = _summed_rows if self.few else _sums

@@ -128,8 +128,7 @@ def sweep(
     points = grid_vectors(parameters, grids)
     repeats = repeats if problem.stochastic else 1
     values = np.stack([comparable_values(problem, points, repeat, report) for repeat in range(repeats)])
-    runs = len(points) * repeats * problem.n_trajectories
-    return Sweep(parameters, grids, values.reshape(repeats, *map(len, grids)), runs)
+    return Sweep(parameters, grids, values.reshape(repeats, *map(len, grids)), problem.filter_runs)
 
 
 def comparable_values(

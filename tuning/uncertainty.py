@@ -133,7 +133,7 @@ def uncertainty_at(
     none = np.zeros(len(optimum.vector), bool)
     kept = none if kept is None else kept
     at_bound = (none if at_bound is None else at_bound) | kept
-    scatter, clusters = _scatter(problem, optimum)
+    scatter, clusters = _scatter(optimum)
     if problem.stochastic:
         optimum = _by_scatter(problem, optimum)
     missing, inverse, undetermined = determined(optimum.hessian, ~at_bound)
@@ -142,11 +142,12 @@ def uncertainty_at(
     observed = inverse / optimum.nats_per_unit
     sandwich = inverse @ scatter @ inverse
     # The gradient of a particle filter is noisy and does not locate the optimum.
-    distance = 0.0 if problem.stochastic else _distance(inverse @ optimum.gradient, _larger_sigmas(observed, sandwich))
-    # A slope along a direction without curvature: the fit ended before it converged.
-    slope = np.abs(missing.T @ optimum.gradient) * optimum.nats_per_unit
-    if not problem.stochastic and np.any(slope > MIN_SLOPE_NATS):
-        distance = np.inf
+    step, sigmas, distance = np.abs(inverse @ optimum.gradient), _larger_sigmas(observed, sandwich), 0.0
+    if not problem.stochastic:
+        distance = float(np.max(step[sigmas > 0] / sigmas[sigmas > 0], initial=0.0))
+        # A slope along a direction without curvature: the fit ended before it converged.
+        if np.any(np.abs(missing.T @ optimum.gradient) * optimum.nats_per_unit > MIN_SLOPE_NATS):
+            distance = np.inf
     return Uncertainty(
         problem.parameters, optimum, observed, sandwich, undetermined, at_bound, clusters, distance, kept
     )
@@ -157,13 +158,7 @@ def _larger_sigmas(one: Float[np.ndarray, "p p"], other: Float[np.ndarray, "p p"
     return np.sqrt(np.maximum(np.fmax(np.diagonal(one), np.diagonal(other)), 0.0))
 
 
-def _distance(step: Float[np.ndarray, " p"], sigma: Float[np.ndarray, " p"]) -> float:
-    """The largest component of a step (p,) in standard deviations (p,); 0 where there are none."""
-    known = sigma > 0
-    return float(np.max(np.abs(step[known]) / sigma[known], initial=0.0))
-
-
-def _scatter(problem: Problem, optimum: Optimum) -> tuple[Float[np.ndarray, "p p"], int]:
+def _scatter(optimum: Optimum) -> tuple[Float[np.ndarray, "p p"], int]:
     """J over the trajectories and their number; NaN for few of them."""
     clusters, p = optimum.influence.shape
     if clusters < MIN_TRAJECTORIES:
@@ -287,13 +282,6 @@ def _derivatives(
     return jax.grad(objective.value)(sums), jax.hessian(objective.value)(sums)
 
 
-class Refitted(NamedTuple):
-    """Vectors (S, p), and the objective (S,) there, over the same trajectories; NaN where one is not finite."""
-
-    vectors: Float[np.ndarray, "S p"]
-    values: Float[np.ndarray, " S"]
-
-
 def refit(
     problem: Problem,
     vectors: Float[np.ndarray, "S p"],
@@ -301,8 +289,8 @@ def refit(
     free: Bool[np.ndarray, " p"] | None = None,
     weights: Float[np.ndarray, "*S n"] | None = None,
     rounds: int = 3,
-) -> Refitted:
-    """Vectors (S, p) improved by quasi-Newton steps (BFGS on the inverse Hessian), all at once.
+) -> tuple[Float[np.ndarray, "S p"], Float[np.ndarray, " S"]]:
+    """Vectors (S, p) improved by quasi-Newton steps (BFGS on the inverse Hessian) all at once, and the objective there.
 
     Each for its own `weights` (S, n) of trajectories, over the `free` (p,) numbers, starting with the same `hessian`. A
     step has length 1 at most, and is rejected and halved where the objective rises.
@@ -334,7 +322,7 @@ def refit(
         terms[better], used[better] = evaluated.terms[better], evaluated.used[better]
         gradients = np.where(better[:, None], evaluated.gradients[:, free], gradients)
         scale = np.where(better, np.minimum(1.0, 2.0 * scale), 0.5 * scale)
-    return Refitted(here, problem.values_over(np.broadcast_to(count, used.shape), here, terms))
+    return here, problem.values_over(np.broadcast_to(count, used.shape), here, terms)
 
 
 def _updated(
@@ -358,14 +346,6 @@ NATS = 1.92
 
 ROUNDS = 8
 """Steps of the other numbers with one at its starting value."""
-
-
-class Kept(NamedTuple):
-    """A vector (p,), which of its numbers (p,) are at their starting values, and the number of vectors evaluated."""
-
-    vector: Float[np.ndarray, " p"]
-    at_start: Bool[np.ndarray, " p"]
-    vectors: int
 
 
 def flat_components(uncertainty: Uncertainty) -> list[int]:
@@ -400,13 +380,15 @@ def loose_groups(uncertainty: Uncertainty, free: Bool[np.ndarray, " p"]) -> dict
     return groups
 
 
-def kept_at_start(problem: Problem, uncertainty: Uncertainty, start: Float[np.ndarray, " p"], gain: float) -> Kept:
-    """The optimum with its flat numbers at their values of `start` (p,), and the others fitted again.
+def kept_at_start(
+    problem: Problem, uncertainty: Uncertainty, start: Float[np.ndarray, " p"], gain: float
+) -> tuple[Float[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
+    """The optimum with its flat numbers at their values of `start` (p,), and the others fitted again; which (p,) are.
 
     Flat are numbers along which the objective has no curvature at the optimum, or hardly any. One keeps its starting
     value where that costs less than `NATS` of a likelihood, or `PART` of the `gain` of the fit of another objective.
     """
-    vector, kept, vectors = uncertainty.optimum.vector, np.zeros(len(start), bool), 0
+    vector, kept = uncertainty.optimum.vector, np.zeros(len(start), bool)
     nats = uncertainty.optimum.nats_per_unit
     limit = uncertainty.optimum.value + (NATS / nats if np.isfinite(nats) else PART * gain)
     for component in flat_components(uncertainty):
@@ -414,8 +396,8 @@ def kept_at_start(problem: Problem, uncertainty: Uncertainty, start: Float[np.nd
             continue
         fixed = kept | (np.arange(len(start)) == component)
         trial, used = np.where(fixed, start, vector)[None], uncertainty.optimum.used[None].astype(float)
-        refitted = refit(problem, trial, uncertainty.optimum.hessian, ~(uncertainty.at_bound | fixed), used, ROUNDS)
-        vectors += ROUNDS + 1
-        if refitted.values[0] <= limit:
-            vector, kept = refitted.vectors[0], fixed
-    return Kept(vector, kept, vectors)
+        free = ~(uncertainty.at_bound | fixed)
+        vectors, values = refit(problem, trial, uncertainty.optimum.hessian, free, used, ROUNDS)
+        if values[0] <= limit:
+            vector, kept = vectors[0], fixed
+    return vector, kept

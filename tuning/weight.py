@@ -64,8 +64,7 @@ def tempered_anew(driver: MultiStart, state: FitState) -> FitState:
     again = initial_state(driver, vector, 1)
     while not driver.done(again):
         again = driver.step(again)
-    best = _with_best(state, winner, again.best_vectors[0], again.best_scores[0])
-    return best._replace(filter_runs=state.filter_runs + again.filter_runs)
+    return _with_best(state, winner, again.best_vectors[0], again.best_scores[0])
 
 
 def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str]) -> FitState:
@@ -87,8 +86,7 @@ def weighed_anew(driver: MultiStart, state: FitState, recordings: Sequence[str])
         # Where the prior weighs more, the fit is to be found near its mean.
         starts = np.tile(at.vector if factor >= 1.0 else before, (len(count), 1))
         hessian = at.hessian + np.diag(at.prior * (1.0 / factor - 1.0))
-        found = refit(problem, starts, hessian, None, factor * count, ROUNDS).vectors
-        return np.clip(found, driver.low, driver.high)
+        return np.clip(refit(problem, starts, hessian, None, factor * count, ROUNDS)[0], driver.low, driver.high)
 
     def scores(factor: float) -> Float[np.ndarray, " S"]:
         terms = problem.terms(fitted(factor, others))

@@ -111,7 +111,7 @@ def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
     begin("searching for starts" if starts > 1 else "first evaluation")
     out, depends = output_folder(options.out), {"options": settings(options, resume=False, figures="page")}
     start = flatten(select_parameters(data.tracker, "*", thresholds=True))
-    fingerprint = checkpoint.fingerprint(depends, [*data.batches(), *data.batches(held_out=True)], start)
+    fingerprint = checkpoint.fingerprint(depends, [*data.rows.batches, *data.rows_apart.batches], start)
     saved = checkpoint.load(out, fingerprint) if options.resume else None
     if options.resume and saved is None:
         notices([f"{out}: no checkpoint found; the fit starts from the beginning"])
@@ -152,7 +152,7 @@ def sweep_folders(
         raise tw.UnusableInput(f"--over {' --over '.join(grids)}: {error}") from error
     output_folder(out)
     advance = begin("grid point", len(points) * (REPEATS if is_stochastic(group.tracker) else 1))
-    swept = tw.sweep(group.tracker, data.batches(), data.objective, grids, REPEATS, advance, data.weights())
+    swept = tw.sweep(group.tracker, data.rows.batches, data.objective, grids, REPEATS, advance, data.rows.weights)
     if not np.isfinite(swept.mean).any():
         raise tw.UnusableInput("the objective is not finite at any grid point; see `trackwright check` on recordings")
     atomic_write(out / "sweep.csv", swept.to_polars(objective).write_csv)

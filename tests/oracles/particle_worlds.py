@@ -25,7 +25,8 @@ from trackwright.trackers.core.model.state import State
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.motion import LineMotion, PathState
-from trackwright.trackers.line.tracker import FIXES, FloorFixes
+from trackwright.trackers.line.tracker import FloorFixes
+from trackwright.trackers.parts.fixes import FIXES
 
 CORRIDOR = np.array([[0.0, 0.0], [6.0, 1.5]])
 """Opposite corners of the corridor, m."""

@@ -54,7 +54,7 @@ def test_a_fit_over_the_floor_judges_truth_without_heights_as_evaluate_does(heig
     data = fit_data(tracker.only_batch(folder), "rmse")
     evaluation = tw.evaluate(tracker.run(folder), folder)
     assert evaluation["n"] == ROWS
-    assert figure(data.tracker, data.batches(), data.objective) == pytest.approx(evaluation["rmse_m"], rel=1e-9)
+    assert figure(data.tracker, data.rows.batches, data.objective) == pytest.approx(evaluation["rmse_m"], rel=1e-9)
 
 
 @pytest.mark.parametrize("objective", ["rmse", "nll+0.1*state-nll"])
@@ -195,4 +195,4 @@ def test_a_checkpoint_tells_recordings_that_differ_in_one_number_apart(data):
     }
     changed = dataclasses.replace(last, recording=dataclasses.replace(last.recording, readings=readings))
     other = dataclasses.replace(data, training=[*data.training[:-1], changed])
-    assert len({fingerprint({}, own.batches(), np.zeros(2)) for own in (data, other)}) == 2
+    assert len({fingerprint({}, own.rows.batches, np.zeros(2)) for own in (data, other)}) == 2

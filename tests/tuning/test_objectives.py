@@ -174,7 +174,7 @@ def test_the_objective_is_the_figure_of_the_estimates_shown(name, values, smooth
     shown = _shown(tracker.smoothing() if smooth else tracker, folder)
     for (objective, dimensions), wanted in shown.items():
         goal = parse_objective(objective, quantity, dimensions)
-        assert figure(model, data.batches(), goal) == pytest.approx(wanted, rel=rtol, abs=rtol), objective
+        assert figure(model, data.rows.batches, goal) == pytest.approx(wanted, rel=rtol, abs=rtol), objective
 
 
 def test_a_sum_adds_its_parts_in_the_order_of_the_text():

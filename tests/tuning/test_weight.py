@@ -38,6 +38,13 @@ def test_a_recording_counts_for_so_many_estimates_at_most():
         assert 0.8 * MOST_ROWS * count < nats < MOST_ROWS * count
 
 
+@pytest.mark.parametrize("prior", ["flat", "sites"])
+def test_standard_errors_do_not_depend_on_how_far_off_the_start_is(prior):
+    made, options = walks([600] * 4, 3), tw.FitOptions(prior=prior)
+    near, far = (tw.fit(line_tracker(sigma=sigma), made, "nll", None, options).standard_errors for sigma in (0.3, 3.0))
+    assert far[SIGMA] == pytest.approx(near[SIGMA], rel=0.1), "3.4 times as large with the correlation at the start"
+
+
 @pytest.mark.parametrize(("sigmas", "grows"), [((0.6, 0.6, 0.6), True), ((0.05, 0.2, 0.8), False)])
 def test_recordings_that_agree_are_followed_more_and_those_that_contradict_each_other_less(sigmas, grows):
     made = [walk for k, sigma in enumerate(sigmas) for walk in walks([600], 10 + k, sigma=sigma)]

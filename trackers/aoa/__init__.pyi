@@ -7,10 +7,7 @@ from trackwright.trackers.aoa.beam import InPlaneBeamMotion as InPlaneBeamMotion
 from trackwright.trackers.aoa.beam import beam_tracker as beam_tracker
 from trackwright.trackers.aoa.beam import in_plane_beam_tracker as in_plane_beam_tracker
 from trackwright.trackers.aoa.beamformer import Grid as Grid
-from trackwright.trackers.aoa.beamformer import capon as capon
 from trackwright.trackers.aoa.beamformer import delay_and_sum as delay_and_sum
-from trackwright.trackers.aoa.beamformer import music as music
-from trackwright.trackers.aoa.beamformer import snapshots as snapshots
 from trackwright.trackers.aoa.beamformer import strongest as strongest
 from trackwright.trackers.aoa.cascade import Cascade as Cascade
 from trackwright.trackers.aoa.cascade import cascade_tracker as cascade_tracker
@@ -49,15 +46,12 @@ __all__ = [
     "bearing_recording",
     "bearing_tracker",
     "bearing_trajectories",
-    "capon",
     "cascade_tracker",
     "delay_and_sum",
     "direct_tracker",
     "in_plane_beam_tracker",
-    "music",
     "phase_recording",
     "phase_trajectories",
     "recent_points",
-    "snapshots",
     "strongest",
 ]

@@ -95,7 +95,7 @@ class InPlaneBeamMotion(AbstractMotion):
 
 
 class BeamStart(AbstractStart):
-    """A start at the maximum of the delay-and-sum spectrum of one row with at least `antennas` phases.
+    """A start at the maximum of the delay-and-sum spectrum of one row with at least three phases.
 
     `sigma_angle` rad, 30° in the paper, and `sigma_rate` rad/s: standard deviations. A grid of one angle gives an
     `InPlaneBeam`.
@@ -105,15 +105,14 @@ class BeamStart(AbstractStart):
     grid: Grid
     sigma_angle: Noise
     sigma_rate: Noise
-    antennas: int = eqx.field(static=True, default=3)
 
     @property
     def readings(self) -> Mapping[str, int]:
         """The phases of its station."""
-        return {self.station: self.antennas}
+        return {self.station: 3}
 
     def can_start(self, row: Row) -> Scalar:
-        return jnp.sum(row.readings[self.station].seen) >= self.antennas
+        return jnp.sum(row.readings[self.station].seen) >= 3
 
     def candidate(self, sensors: Any, row: Row) -> Any:
         reading = row.readings[self.station]
@@ -135,7 +134,6 @@ def beam_tracker(
     sigma_p: float = 0.2,
     paper_form: bool = False,
     span: float = np.deg2rad(30.0),
-    loss: TrackLossPolicy | None = None,
 ) -> Tracker:
     """The beam tracker of one station, whose phases a recording holds under `name`; `span`: of the start's grid, rad.
 
@@ -146,7 +144,7 @@ def beam_tracker(
     sensor = PlanePhases(station, sigma_p, paper_form)
     start = BeamStart(name, Grid.of(station, span), Scale(np.deg2rad(30.0), "rad"), Scale(1.0, "rad/s"))
     motion = BeamMotion(process_noise(sigma_a, "rad/s^2"))
-    return Tracker(motion, {name: sensor}, start, track_loss=loss or TrackLossPolicy())
+    return Tracker(motion, {name: sensor}, start, track_loss=TrackLossPolicy())
 
 
 def in_plane_beam_tracker(

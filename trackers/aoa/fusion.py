@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.errors import is_count, require
-from trackwright.trackers.core.model.algebra import Scalar, Vector, total
+from trackwright.trackers.core.model.algebra import Scalar, Vector
 from trackwright.trackers.core.model.inputs import HEIGHT, AnyArray, Input, Inputs, Need
 from trackwright.trackers.core.model.motion import Noise
 from trackwright.trackers.core.model.rig import Station
@@ -25,13 +25,13 @@ from trackwright.trackers.core.model.sensor import (
     Residual,
     delayed_position,
     position_in_space,
-    student_t_log_peak,
 )
 from trackwright.trackers.core.model.state import wrap
 from trackwright.trackers.core.model.tunable import Real, Scale
 from trackwright.trackers.core.run.track_loss import TrackScorePolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import BiasedStart, DriftingBiases
+from trackwright.trackers.parts.fixes import correlated
 from trackwright.trackers.parts.ranges import bias_in
 
 BEARINGS = "bearings"
@@ -153,22 +153,12 @@ class AbstractBearingSensor(AbstractSensor):
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """Azimuth first, elevation given azimuth second: whitened by the Cholesky factor of the covariance."""
-        azimuth, elevation = (wrap(z - p) for z, p in zip(reading.values, predicted, strict=True))
-        azimuth_seen, elevation_seen = reading.seen
-        reported = (
-            [r * self.reported_std_scale.value**2 for r in reading.reported]
-            if len(reading.reported)
-            else [0.0, 0.0, 0.0]
-        )
-        first = jnp.sqrt(self.sigma_azimuth.value**2 + reported[0])
-        coupling = jnp.where(azimuth_seen, reported[1] / first, 0.0)
-        second = jnp.sqrt(self.sigma_elevation.value**2 + reported[2] - coupling**2)
-        whitened = jnp.where(azimuth_seen, azimuth / first, 0.0)
-        second_whitened = jnp.where(elevation_seen, (elevation - coupling * whitened) / second, 0.0)
-        scales = ((azimuth_seen, first), (elevation_seen, second))
-        log_scale = total(jnp.where(s, student_t_log_peak(self.dof.value) - jnp.log(sigma), 0.0) for s, sigma in scales)
-        nis_dof = total(jnp.where(s, jnp.ones_like(azimuth), 0.0) for s, _ in scales)
-        return Residual([whitened, second_whitened], log_scale, nis_dof, dof=self.dof.value)
+        differences = [wrap(z - p) for z, p in zip(reading.values, predicted, strict=True)]
+        scale, reported = self.reported_std_scale.value**2, reading.reported
+        azimuth, both, elevation = (r * scale for r in reported) if len(reported) else (0.0, 0.0, 0.0)
+        variances = self.sigma_azimuth.value**2 + azimuth, self.sigma_elevation.value**2 + elevation
+        covariance = [[variances[0], both], [both, variances[1]]]
+        return correlated(differences, covariance, list(reading.seen), self.dof.value)
 
 
 class BearingSensor(AbstractBearingSensor):

@@ -113,7 +113,7 @@ class AbstractPlanePhases(AbstractPhaseSensor):
     paper_form: bool = eqx.field(static=True)
 
     def __init__(self, station: Station, sigma_p: float | Noise, paper_form: bool):
-        antennas, wavelength = _array(station)
+        antennas, wavelength = array_of(station)
         self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
         self.wavenumbers = 2 * np.pi / wavelength * antennas
         self.offsets = Real(np.zeros(len(antennas)), "rad", typical=0.1)
@@ -171,7 +171,7 @@ class SphericalPhases(AbstractPhaseSensor):
     paper_form: bool = eqx.field(static=True)
 
     def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
-        _, wavelength = _array(station)
+        _, wavelength = array_of(station)
         self.sigma_p = as_scale(sigma_p, "rad", "measurement noise")
         self.antennas = station.antenna_positions() - station.position
         self.offsets = Real(np.zeros(len(self.antennas)), "rad", typical=0.1)
@@ -196,9 +196,10 @@ class SphericalPhases(AbstractPhaseSensor):
         return phases
 
 
-def _array(station: Station) -> tuple[np.ndarray, float]:
+def array_of(station: Station) -> tuple[np.ndarray, float]:
+    """The antennas' places (n, 2) and the wavelength, m."""
     if station.antennas is None or station.wavelength is None:
-        raise ValueError("a phase sensor needs a station with antennas and a wavelength; this one reports angles")
+        raise ValueError("phases need a station with antennas and a wavelength; this one reports angles")
     return np.asarray(station.antennas, float), float(station.wavelength)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -80,21 +79,10 @@ def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
         if rig_station.antennas is None:
             continue
         here, count = np.flatnonzero(station == names.index(name)), len(rig_station.antennas)
-        if np.array_equal(row[here], np.arange(len(times))):
-            part = _evenly_spaced(here)
-            readings[name] = Readings(phases[part, :count], mask[part, :count])
-            continue
         values, seen = np.zeros((len(times), count)), np.zeros((len(times), count), bool)
         values[row[here]], seen[row[here]] = phases[here, :count], mask[here, :count]
         readings[name] = Readings(values, seen)
     return trajectories_of(folder, rows.tags, starts, times, readings, {})
-
-
-def _evenly_spaced(numbers: np.ndarray) -> Any:
-    """The numbers, as a slice where they are evenly spaced: a view is no copy."""
-    step = int(numbers[1] - numbers[0]) if len(numbers) > 1 else 1
-    part = slice(int(numbers[0]), int(numbers[-1]) + 1, step)
-    return part if (np.diff(numbers) == step).all() else numbers
 
 
 def beam_trajectories(folder: RecordingFolder, free_height: bool) -> Iterable[Trajectory]:
@@ -147,17 +135,11 @@ def _shared_rows(rows: TagRows, station: np.ndarray) -> tuple[np.ndarray, np.nda
     new = np.append(True, np.diff(rows.times) != 0)
     new[rows.starts[:-1]] = True
     group = np.cumsum(new) - 1
-    repeat = np.zeros(len(group), int)
-    if not (np.diff(station)[~new[1:]] > 0).all():
-        order = np.lexsort((station, group))
-        same = np.append(False, (np.diff(group[order]) == 0) & (np.diff(station[order]) == 0))
-        run = np.arange(len(order))
-        repeat[order] = run - np.maximum.accumulate(np.where(same, 0, run))
+    order, run, repeat = np.lexsort((station, group)), np.arange(len(group)), np.empty(len(group), int)
+    same = np.append(False, (np.diff(group[order]) == 0) & (np.diff(station[order]) == 0))
+    repeat[order] = run - np.maximum.accumulate(np.where(same, 0, run))
     most = int(repeat.max(initial=0)) + 1
-    if most == 1:
-        keys, first, row = np.arange(group[-1] + 1), np.flatnonzero(new), group
-    else:
-        keys, first, row = np.unique(group * most + repeat, return_index=True, return_inverse=True)
+    keys, first, row = np.unique(group * most + repeat, return_index=True, return_inverse=True)
     starts = np.append(np.searchsorted(keys, group[rows.starts[:-1]] * most), len(keys))
     return row, starts, rows.times[first]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trackwright.trackers.baselines.fixes import fix_tracker, singer_tracker
+from trackwright.trackers.baselines.fixes import MovingWindow, fix_tracker, singer_tracker
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
@@ -60,22 +60,17 @@ def lacks_coplanar_anchors(folder: RecordingFolder) -> str | None:
 
 
 def floor_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
-    """Each tag's fixes with z masked, one row per table row; raises UnusableInput without a valid floor plan."""
-    walls_of(folder)
+    """Each tag's fixes with z masked, one row per table row."""
     trajectories = fix_trajectories(folder, free_height)
     fixes = trajectories.columns.readings[FIXES]
     return trajectories.replaced({FIXES: Readings(fixes.values, fixes.seen & [True, True, False], fixes.reported)})
 
 
 def walls_of(folder: RecordingFolder) -> Walls:
-    """The folder's floor plan; raises UnusableInput if there is none or it is invalid."""
+    """The folder's floor plan; raises UnusableInput if it is invalid."""
     from trackwright.trackers.baselines.floor import Walls
 
     rig = folder.rig
-    if rig.walls is None and rig.outline is None:
-        raise UnusableInput(
-            f"{folder.path}: no [floor] in rig.toml, expected its walls_m = [[x1, y1, x2, y2], …]; add them"
-        )
     try:
         return Walls(() if rig.walls is None else rig.walls, () if rig.outline is None else rig.outline)
     except ValueError as problem:
@@ -118,16 +113,8 @@ def _unknown_latency(build: Callable[[Trajectory, bool], Tracker]) -> Callable[[
     )
 
 
-def _window(median: bool) -> Callable[[Trajectory, bool], AbstractTracker]:
-    def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-        from trackwright.trackers.baselines.fixes import MovingWindow
-
-        return MovingWindow(WINDOW, median=median, planar=planar)
-
-    return build
-
-
 _of_fixes = partial(TrackerSpec, lacks=lacks_fixes, trajectories=fix_trajectories)
+_window = partial(_of_fixes, every_row=(FIXES,))
 
 TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
     "floor-pf": partial(
@@ -148,7 +135,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_unknown_latency(_mirror),
         planar=lambda trajectory, free_height: False,
     ),
-    "moving-average": partial(_of_fixes, build=_window(median=False), every_row=(FIXES,)),
-    "median": partial(_of_fixes, build=_window(median=True), every_row=(FIXES,)),
+    "moving-average": partial(_window, build=lambda trajectory, planar: MovingWindow(WINDOW, False, planar)),
+    "median": partial(_window, build=lambda trajectory, planar: MovingWindow(WINDOW, True, planar)),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

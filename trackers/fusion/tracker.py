@@ -24,6 +24,7 @@ from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.track_loss import TrackScorePolicy
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.drifting_biases import (
+    BiasDrift,
     BiasedStart,
     DriftingBiases,
     damped,
@@ -54,19 +55,6 @@ class FusedState(NamedTuple):
     shared: Vector = Vector()
 
 
-class Drift(eqx.Module):
-    """First-order Gauss–Markov biases of one kind of readings: the part of `DriftingBiases` that concerns them.
-
-    `sigma_bias`: standard deviation of the biases. They decay at the rate 1/`time_constant` + speed/`length`, s and m.
-    `biases`: their number.
-    """
-
-    sigma_bias: Noise
-    time_constant: Noise
-    length: Noise
-    biases: int = eqx.field(static=True)
-
-
 class FusedMotion(AbstractMotion):
     """The motion of `DriftingBiases` with the biases of several kinds of readings, each with its own levels.
 
@@ -77,7 +65,7 @@ class FusedMotion(AbstractMotion):
     sigma_a: Noise
     sigma_z: Noise
     memory: Noise
-    drifts: dict[str, Drift]
+    drifts: dict[str, BiasDrift]
     speed: Any = None
 
     @property
@@ -139,7 +127,7 @@ def fused_tracker(trackers: Mapping[str, Tracker], planar: bool = False) -> Trac
     starts = {name: t.start for name, t in sorted(trackers.items()) if isinstance(t.start, BiasedStart)}
     levels = next(iter(motions.values()))
     drifts = {
-        name: Drift(motion.sigma_bias, motion.time_constant, motion.length, motion.biases)
+        name: BiasDrift(motion.sigma_bias, motion.time_constant, motion.length, motion.biases)
         for name, motion in sorted(motions.items())
         if motion.biases
     }

@@ -13,9 +13,9 @@ from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.line.tracker import FIXES, FloorFixes, line_grid_tracker, line_motion, line_tracker
+from trackwright.trackers.line.tracker import FloorFixes, line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import KnotTimes, knot_times
-from trackwright.trackers.parts.fixes import AXES_M, AXES_STD_M
+from trackwright.trackers.parts.fixes import AXES_M, AXES_STD_M, FIXES
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor, range_trajectories
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
@@ -61,8 +61,7 @@ def planar_fix_trajectories(folder: RecordingFolder) -> Trajectories:
 
 
 def line_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
-    """Each tag's ranges if the rig has all heights, else its fixes; raises UnusableInput without a path."""
-    path_of(folder)
+    """Each tag's ranges if the rig has all heights, else its fixes."""
     return range_trajectories(folder, False) if _reads_ranges(folder) else planar_fix_trajectories(folder)
 
 

@@ -197,9 +197,6 @@ def _output_map(motion: LineMotion | HaltingMotion) -> PathOutputMap:
     return PathOutputMap(motion.line, Scale(SIGMA_LINE, "m"))
 
 
-FIXES = "fixes"
-
-
 class FloorFixes(AbstractSensor):
     """x and y of a fix, m, with independent errors of scale `sigma_p` m: Student's t, for `dof` None normal (1.25).
 

@@ -12,7 +12,7 @@ import numpy as np
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, total
 from trackwright.trackers.core.model.covariance import Gaussian, variance
 from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS, Input, Inputs
-from trackwright.trackers.core.model.motion import AbstractMotion, Noise
+from trackwright.trackers.core.model.motion import AbstractMotion, Noise, as_scale
 from trackwright.trackers.core.model.rig import mirrored
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import component_names
@@ -106,18 +106,19 @@ class BiasDrift(eqx.Module):
     """The drift of the biases of `DriftingBiases`, for another motion; `at` as there, biases in m.
 
     `sigma_bias`: standard deviation of the biases, which decay at the rate 1/`time_constant` + speed/`length`, s and m.
+    `biases`: their number, where the motion does not tell it.
     """
 
     sigma_bias: Noise
     time_constant: Noise
     length: Noise
-    speed: Any = None
+    biases: int = eqx.field(static=True)
+    speed: Any
 
-    def __init__(self, sigma_bias: float, time_constant: float, length: float):
-        self.sigma_bias = Scale(sigma_bias, "m", "bias noise")
-        self.time_constant = Scale(time_constant, "s")
-        self.length = Scale(length, "m")
-        self.speed = None
+    def __init__(self, sigma_bias: float | Noise, time_constant: float | Noise, length: float | Noise, biases: int = 0):
+        self.sigma_bias = as_scale(sigma_bias, "m", "bias noise")
+        self.time_constant, self.length = as_scale(time_constant, "s"), as_scale(length, "m")
+        self.biases, self.speed = biases, None
 
     def at(self, belief: Gaussian) -> BiasDrift:
         return eqx.tree_at(lambda drift: drift.speed, self, shrunk_speed(belief), is_leaf=lambda x: x is None)

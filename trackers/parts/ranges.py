@@ -239,9 +239,21 @@ def anchor_positions(folder: RecordingFolder) -> np.ndarray:
     return np.stack([np.asarray(folder.rig.anchors[a], float) for a in sorted(folder.rig.anchors)])
 
 
-def lacks_a_plane(positions: np.ndarray) -> str | None:
-    """What anchors at these positions (A, 3), m, lack for a position over the floor, in words."""
-    sizes = np.linalg.svd(positions[:, :2] - positions[:, :2].mean(axis=0), compute_uv=False)
+def lacks_anchors(
+    folder: RecordingFolder, rows: TagRows, seen: np.ndarray, numbers: np.ndarray, least: int, what: str
+) -> str | None:
+    """What readings lack for a position, in words: `least` anchors of a tag of known height, else one more; a plane.
+
+    `seen` (N,): the rows of readings; `numbers` (N, k): of their anchors. `what`: they are called, up to their number.
+    """
+    tag, heard = rows.of_each(np.arange(len(rows.tags))), np.zeros((len(rows.tags), len(folder.rig.anchors)), bool)
+    heard[tag[seen, None], numbers[seen]] = True
+    counts, needed = heard.sum(axis=1), np.where(np.isnan(known_heights(folder, rows.tags)), least + 1, least)
+    if not (counts >= needed).any():
+        where = f"at least {least} anchors, or {least + 1} where rig.toml gives it no height_m"
+        return f"{what} {where}, found {counts.max(initial=0)} at most"
+    positions = anchor_positions(folder)[heard.any(axis=0), :2]
+    sizes = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
     if sizes[1] > COLLINEAR * sizes[0]:
         return None
     return f"anchors that span a plane, found all {len(positions)} on one line or at one place seen from above"

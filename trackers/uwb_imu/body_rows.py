@@ -79,7 +79,8 @@ def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
     A tag without ranges is a place on the body, such as a tool's tip. Where the wheels of a body are measured, there
     are further rows at the times of their readings.
     """
-    rows = _ranges_by_body(folder)
+    bodies = _bodies(folder)
+    rows = _ranges_of_bodies(folder, bodies)
     readings, number = range_rows(folder, rows)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights, folder.rig)
@@ -87,7 +88,7 @@ def body_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
     if ODOMETRY.name not in folder.tables:
         inputs |= room_of_anchors(folder, len(number))
         return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
-    wheels, bodies = folder.rows(ODOMETRY.name), _bodies(folder)
+    wheels = folder.rows(ODOMETRY.name)
     measured, at = wheels.floats(["speed_mps", "yaw_rate_radps"]), _of_bodies(wheels, bodies)
     merged = with_rows_between(rows.tags, rows, {tag: wheels.times[at[tag]] for tag in rows.tags})
     held = [
@@ -116,16 +117,6 @@ def _arms(folder: RecordingFolder, tags: Sequence[str], starts: np.ndarray) -> n
     return np.repeat(np.stack([_offset(folder, tag) for tag in tags]), np.diff(starts), axis=0)
 
 
-def _tags_on_bodies(folder: RecordingFolder) -> list[str]:
-    """The tags of `_bodies`, by their ids."""
-    return list(_bodies(folder))
-
-
-def _ranges_by_body(folder: RecordingFolder) -> TagRows:
-    """As `_ranges_of_bodies`, of all tags on bodies."""
-    return _ranges_of_bodies(folder, _bodies(folder))
-
-
 def _ranges_of_bodies(folder: RecordingFolder, bodies: Mapping[str, Sequence[str]]) -> TagRows:
     """The ranges of all tags on the body of each tag, of which the column `carrier` holds the one ranged to."""
     table = folder.tables["ranges"].with_columns(pl.col("tag").cast(pl.String))
@@ -142,7 +133,7 @@ def _levers(folder: RecordingFolder, rows: TagRows, upright: bool = False) -> np
 
     Of a body that is `upright`, to where the ranges of the carrier end, which a calibration has ahead and to the left.
     """
-    carriers = _tags_on_bodies(folder)
+    carriers = list(_bodies(folder))
     ends = np.stack([_offset(folder, carrier) for carrier in carriers])
     if upright and folder.calibration is not None:
         known = folder.calibration.tags
@@ -225,13 +216,13 @@ def _lacks_bodies(folder: RecordingFolder) -> str | None:
     """What a folder lacks for the tracker of bodies, in words."""
     if "ranges" not in folder.tables:
         return lacks_ranges(folder)
-    single = sorted(set(folder.rows("ranges").tags) - set(_tags_on_bodies(folder)))
-    if single:
+    bodies = _bodies(folder)
+    if single := sorted(set(folder.rows("ranges").tags) - set(bodies)):
         return (
             "for every tag another one on its body (offset_m of both in rig.toml), or odometry of it; found neither "
             f"for {listed(single)}"
         )
-    return lacks_ranges(folder, _ranges_by_body(folder))
+    return lacks_ranges(folder, _ranges_of_bodies(folder, bodies))
 
 
 def _is_calibrated(trajectory: Trajectory) -> bool:

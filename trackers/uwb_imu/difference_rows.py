@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.multilaterate import WINDOWS_S
-from trackwright.trackers.parts.ranges import anchor_positions, lacks_a_plane, room_of_anchors, within_limits
+from trackwright.trackers.parts.ranges import anchor_positions, lacks_anchors, room_of_anchors, within_limits
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
@@ -169,21 +169,11 @@ def lacks_differences(folder: RecordingFolder) -> str | None:
         return "a tdoa table with at least 4 anchors, found no such table"
     rows, anchors = folder.rows(TDOA), anchor_positions(folder)
     number, (values, seen) = anchor_pairs(folder, rows), rows.values(["range_difference_m"])
-    part = np.flatnonzero(seen[:, 0] & (number[:, 0] != number[:, 1]))
-    number, sizes, heard = number[part], np.abs(values[part, 0]), np.zeros((len(rows.tags), len(anchors)), bool)
-    for column in number.T:
-        heard[rows.of_each(np.arange(len(rows.tags)))[part], column] = True
-    counts, needed = heard.sum(axis=1), np.where(np.isnan(known_heights(folder, rows.tags)), 5, 4)
-    if not (counts >= needed).any():
-        return (
-            "range differences of a tag among at least 4 anchors, or 5 where rig.toml gives it no height_m, found "
-            f"{counts.max(initial=0)} at most"
-        )
-    line = lacks_a_plane(anchors[heard.any(axis=0)])
-    if line is not None:
-        return line
-    apart = np.linalg.norm(anchors[number[:, 0]] - anchors[number[:, 1]], axis=1)
-    median, most = float(np.median(sizes)), float(np.median(apart))
+    part = seen[:, 0] & (number[:, 0] != number[:, 1])
+    if lacking := lacks_anchors(folder, rows, part, number, 4, "range differences of a tag among"):
+        return lacking
+    apart = np.linalg.norm(anchors[number[part, 0]] - anchors[number[part, 1]], axis=1)
+    median, most = float(np.median(np.abs(values[part, 0]))), float(np.median(apart))
     if median > most:
         return (
             f"range differences in metres, found a median of {median:.4g} between anchors {most:.4g} m apart: probably "

@@ -46,28 +46,15 @@ class InertialStart(AbstractNearbyStart):
     planar: bool = eqx.field(static=True)
     biases: int = eqx.field(static=True)
 
-    def __init__(
-        self,
-        planar: bool,
-        biases: int = 0,
-        sigma_position: float = 1.0,
-        sigma_height: float = 2.0,
-        sigma_velocity: float = 1.0,
-        sigma_tilt: float = 0.15,
-        sigma_yaw: float = 1.0,
-        sigma_accel_bias: float = 0.3,
-        sigma_gyro_bias: float = 0.03,
-        sigma_bias: float = 0.08,
-    ):
-        self.planar = planar
-        self.biases = biases
-        self.sigma_position = Scale(sigma_position, "m")
-        self.sigma_height = Scale(sigma_height, "m")
-        self.sigma_velocity = Scale(sigma_velocity, "m/s")
-        self.sigma_tilt = Scale(sigma_tilt, "rad")
-        self.sigma_yaw = Scale(sigma_yaw, "rad")
-        self.sigma_accel_bias = Scale(sigma_accel_bias, "m/s^2")
-        self.sigma_gyro_bias = Scale(sigma_gyro_bias, "rad/s")
+    def __init__(self, planar: bool, biases: int = 0, sigma_bias: float = 0.08):
+        self.planar, self.biases = planar, biases
+        self.sigma_position = Scale(1.0, "m")
+        self.sigma_height = Scale(2.0, "m")
+        self.sigma_velocity = Scale(1.0, "m/s")
+        self.sigma_tilt = Scale(0.15, "rad")
+        self.sigma_yaw = Scale(1.0, "rad")
+        self.sigma_accel_bias = Scale(0.3, "m/s^2")
+        self.sigma_gyro_bias = Scale(0.03, "rad/s")
         self.sigma_bias = Scale(sigma_bias, "m")
 
     @property
@@ -136,25 +123,22 @@ def level_attitude(force: Vector) -> Rotation:
 def inertial_tracker(
     anchors: int = 0,
     planar: bool = False,
-    noise: ImuNoise | None = None,
     sigma_r: float = 0.1,
     positive_skew: float = 3.0,
     dof: float = 3.0,
     bias: float = 0.05,
-    yaws: int = 3,
 ) -> Tracker:
     """Position, velocity, attitude and IMU biases from ranges and an IMU; any row may lack either.
 
     `planar`: the paper's eight states, at a known height; else fifteen in three dimensions, and a range bias for each
-    of up to `MAX_BIASES` numbered `anchors`. Sensor numbers as in `RangeSensor`, with one slot per row. `yaws`: number
-    of initial yaws.
+    of up to `MAX_BIASES` numbered `anchors`. Sensor numbers as in `RangeSensor`, with one slot per row.
     """
     expected = "the number of anchors, as inertial_tracker(len(rig.anchors))"
     require(is_count(anchors), "inertial_tracker", anchors, expected)
     # In the plane, with three anchors, biases and position are not jointly observable.
     biases = anchors if anchors <= MAX_BIASES and not planar else 0
     sensors = {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)}
-    return _strapdown_tracker(sensors, InertialStart(planar, biases), noise or _noise(0.02), None, yaws)
+    return _strapdown_tracker(sensors, InertialStart(planar, biases), ImuNoise(), None)
 
 
 def inertial_difference_tracker(
@@ -165,7 +149,6 @@ def inertial_difference_tracker(
     sigma_d: float = 0.13,
     dof: float = 1.8,
     drift: BiasDrift | None = None,
-    yaws: int = 3,
 ) -> Tracker:
     """As `inertial_tracker`, from range differences, `slots` to a row, and an IMU; biases are in the plane, too.
 
@@ -174,19 +157,13 @@ def inertial_difference_tracker(
     require(is_count(anchors), "inertial_difference_tracker", anchors, "the number of anchors, as len(rig.anchors)")
     drift = drift or BiasDrift(0.12, 20.0, 2.0)
     biases = anchors if anchors <= MAX_BIASES else 0
-    start = InertialStart(planar, biases, sigma_bias=float(drift.sigma_bias.value))
-    return _strapdown_tracker(
-        {TDOA: RangeDifferenceSensor(slots, sigma_d, dof)}, start, noise or _noise(None), drift, yaws
-    )
-
-
-def _noise(sigma_range_walk: float | None) -> ImuNoise:
-    """The default levels of an IMU, with this random walk of the biases of anchors, m per √s."""
-    return ImuNoise(0.2, 0.02, 0.005, 0.0005, 1.5, 0.3, sigma_range_walk)
+    start = InertialStart(planar, biases, float(drift.sigma_bias.value))
+    noise = noise or ImuNoise(sigma_range_walk=None)
+    return _strapdown_tracker({TDOA: RangeDifferenceSensor(slots, sigma_d, dof)}, start, noise, drift)
 
 
 def _strapdown_tracker(
-    sensors: Mapping[str, AbstractSensor], start: InertialStart, noise: ImuNoise, drift: BiasDrift | None, yaws: int
+    sensors: Mapping[str, AbstractSensor], start: InertialStart, noise: ImuNoise, drift: BiasDrift | None
 ) -> Tracker:
     """The tracker of an IMU and readings to anchors, in the plane or in three dimensions as the start."""
     drift = drift if start.biases else None
@@ -194,4 +171,4 @@ def _strapdown_tracker(
     motion: AbstractMotion = Strapdown(noise, biases=start.biases, drift=drift)
     if start.planar:
         motion = PlanarStrapdown(noise, biases=start.biases, drift=drift)
-    return Tracker(motion, sensors, start, YawMixtureFilter(count=yaws), TrackScorePolicy(REACH, "m"))
+    return Tracker(motion, sensors, start, YawMixtureFilter(), TrackScorePolicy(REACH, "m"))

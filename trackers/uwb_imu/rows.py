@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.ranges import anchor_positions, lacks_a_plane, range_trajectories
+from trackwright.trackers.parts.ranges import anchor_positions, lacks_anchors, range_trajectories
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import Trajectory, known_heights
+from trackwright.trackers.recordings.trajectories import Trajectory
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 
 MAX_RANGE_RATIO = 20.0
@@ -29,20 +29,11 @@ def lacks_ranges(folder: RecordingFolder, rows: TagRows | None = None) -> str | 
         return "a ranges table with at least 3 anchors, found no such table"
     rows, ids = folder.rows("ranges") if rows is None else rows, sorted(folder.rig.anchors)
     ranges = rows.floats(["range_m"])[:, 0]
-    positive = ranges > 0
-    heard = np.zeros((len(rows.tags), len(ids)), bool)
-    heard[rows.of_each(np.arange(len(rows.tags)))[positive], rows.codes("anchor", ids)[positive]] = True
-    counts, needed = heard.sum(axis=1), np.where(np.isnan(known_heights(folder, rows.tags)), 4, 3)
-    if not (counts >= needed).any():
-        return (
-            "positive ranges from a tag to at least 3 anchors, or 4 where rig.toml gives it no height_m, found "
-            f"{counts.max(initial=0)} at most"
-        )
-    positions = anchor_positions(folder)[heard.any(axis=0)]
-    line = lacks_a_plane(positions)
-    if line is not None:
-        return line
-    median, extent = float(np.median(ranges[positive])), float(np.ptp(positions, axis=0).max())
+    positive, number = ranges > 0, rows.codes("anchor", ids)
+    if lacking := lacks_anchors(folder, rows, positive, number[:, None], 3, "positive ranges from a tag to"):
+        return lacking
+    extent = float(np.ptp(anchor_positions(folder)[np.unique(number[positive])], axis=0).max())
+    median = float(np.median(ranges[positive]))
     if median > MAX_RANGE_RATIO * extent:
         return (
             f"ranges in metres, found a median of {median:.4g} among anchors {extent:.4g} m apart; "

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,15 +12,9 @@ from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS
 from trackwright.trackers.parts.multilaterate import latest_rows
 from trackwright.trackers.parts.ranges import RANGES, anchor_positions, range_rows
-from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import (
-    Trajectories,
-    known_height,
-    known_heights,
-    trajectories_of,
-)
+from trackwright.trackers.recordings.trajectories import Trajectories, known_height, known_heights, trajectories_of
 from trackwright.trackers.uwb_imu.rows import anchors_of, lacks_ranges
 from trackwright.trackers.uwb_imu.trilateration import multilateration_tracker, trilateration_tracker
 
@@ -29,50 +22,11 @@ WINDOWS = (0.1, 0.25, 0.5, 1.0)
 """Candidate times, s, for which a range stays valid in a snapshot of the latest ranges."""
 
 
-class Snapshots(NamedTuple):
-    """The times of all tags, and at each every anchor's latest range.
-
-    `starts` (n + 1,): the first of the N times of each tag, then N. `times` (N,) s. `latest` (N, A): ranges, m, zero
-    unless `fresh` (N, A), recent enough.
-    """
-
-    rows: TagRows
-    starts: np.ndarray
-    times: np.ndarray
-    latest: np.ndarray
-    fresh: np.ndarray
-
-
 def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's ranges, one row per time, with the latest range of every anchor in a slot of its own."""
-    snapshots = _snapshots(folder, free_height)
-    rows = {"anchors": anchor_positions(folder).ravel(), HEIGHT_LIMITS.name: folder.rig.height_limits()}
-    inputs = {name: np.tile(row, (len(snapshots.times), 1)) for name, row in rows.items()}
-    readings = {RANGES: Readings(snapshots.latest, snapshots.fresh)}
-    return trajectories_of(folder, snapshots.rows.tags, snapshots.starts, snapshots.times, readings, inputs)
-
-
-def triple_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
-    """As `snapshot_trajectories`, with the three anchors of each row that span the largest triangle."""
-    anchors, snapshots = anchor_positions(folder), _snapshots(folder, free_height)
-    triples = np.array(list(combinations(range(len(anchors)), 3)))
-    legs = anchors[triples][:, 1:, :2] - anchors[triples][:, :1, :2]
-    areas = np.abs(legs[:, 0, 0] * legs[:, 1, 1] - legs[:, 0, 1] * legs[:, 1, 0])
-    patterns, which = np.unique(snapshots.fresh, axis=0, return_inverse=True)
-    complete = patterns[:, triples].all(axis=2)
-    best = triples[np.argmax(np.where(complete, areas, -1.0), axis=1)][which.ravel()]
-    values, seen = (np.take_along_axis(x, best, axis=1) for x in (snapshots.latest, snapshots.fresh))
-    inputs = {"anchors": anchors[best].reshape(len(snapshots.times), 9)}
-    return trajectories_of(
-        folder, snapshots.rows.tags, snapshots.starts, snapshots.times, {RANGES: Readings(values, seen)}, inputs
-    )
-
-
-def _snapshots(folder: RecordingFolder, free_height: bool) -> Snapshots:
-    """The latest ranges of all tags at each of their times."""
-    rows = folder.rows("ranges")
+    rows, anchors = folder.rows("ranges"), anchor_positions(folder)
     readings, number = range_rows(folder, rows)
-    latest = latest_rows(rows.starts, number, readings.seen[:, 0], len(folder.rig.anchors))
+    latest = latest_rows(rows.starts, number, readings.seen[:, 0], len(anchors))
     # The last row of each time of a tag.
     last = np.append(np.diff(rows.times) != 0, True)
     last[rows.starts[1:] - 1] = True
@@ -82,7 +36,24 @@ def _snapshots(folder: RecordingFolder, free_height: bool) -> Snapshots:
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     windows = _snapshot_windows(starts, age, np.where(np.isnan(heights), 4, 3))
     fresh = age <= np.repeat(windows, np.diff(starts))[:, None]
-    return Snapshots(rows, starts, times, np.where(fresh, readings.values[latest, 0], 0.0), fresh)
+    values = {RANGES: Readings(np.where(fresh, readings.values[latest, 0], 0.0), fresh)}
+    of_row = {"anchors": anchors.ravel(), HEIGHT_LIMITS.name: folder.rig.height_limits()}
+    inputs = {name: np.tile(row, (len(times), 1)) for name, row in of_row.items()}
+    return trajectories_of(folder, rows.tags, starts, times, values, inputs)
+
+
+def triple_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
+    """As `snapshot_trajectories`, with the three anchors of each row that span the largest triangle."""
+    anchors, snapshots = anchor_positions(folder), snapshot_trajectories(folder, free_height)
+    latest = snapshots.columns.readings[RANGES]
+    triples = np.array(list(combinations(range(len(anchors)), 3)))
+    legs = anchors[triples][:, 1:, :2] - anchors[triples][:, :1, :2]
+    areas = np.abs(legs[:, 0, 0] * legs[:, 1, 1] - legs[:, 0, 1] * legs[:, 1, 0])
+    patterns, which = np.unique(latest.seen, axis=0, return_inverse=True)
+    complete = patterns[:, triples].all(axis=2)
+    best = triples[np.argmax(np.where(complete, areas, -1.0), axis=1)][which.ravel()]
+    readings = Readings(*(np.take_along_axis(x, best, axis=1) for x in (latest.values, latest.seen)))
+    return snapshots.replaced({RANGES: readings}, {"anchors": anchors[best].reshape(len(best), 9)})
 
 
 def _snapshot_windows(starts: np.ndarray, age: np.ndarray, least: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ Without an accelerometer the acceleration is white noise; without a gyro the att
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -92,13 +93,13 @@ class ImuNoise(eqx.Module):
 
     def __init__(
         self,
-        sigma_accel: float | Noise = 0.05,
-        sigma_gyro: float | Noise = 0.005,
+        sigma_accel: float | Noise = 0.2,
+        sigma_gyro: float | Noise = 0.02,
         sigma_accel_walk: float | Noise = 0.005,
         sigma_gyro_walk: float | Noise = 0.0005,
-        sigma_a: float | Noise = 1.0,
-        sigma_turn: float | Noise = 0.5,
-        sigma_range_walk: float | Noise | None = 0.005,
+        sigma_a: float | Noise = 1.5,
+        sigma_turn: float | Noise = 0.3,
+        sigma_range_walk: float | Noise | None = 0.02,
     ):
         self.sigma_accel = process_noise(sigma_accel, "m/s^2/sqrt(Hz)")
         self.sigma_gyro = process_noise(sigma_gyro, "rad/s/sqrt(Hz)")
@@ -108,11 +109,6 @@ class ImuNoise(eqx.Module):
         self.sigma_turn = process_noise(sigma_turn, "rad/sqrt(s)")
         walk = sigma_range_walk
         self.sigma_range_walk = None if walk is None else as_scale(walk, "m/sqrt(s)", "bias noise")
-
-    def walked(self, bias: Vector, dt: Scalar, w: Sequence[Scalar]) -> Vector:
-        """Biases of anchors `dt` s later, given a draw for each."""
-        assert self.sigma_range_walk is not None
-        return bias + Vector(*w) * (self.sigma_range_walk.value * jnp.sqrt(dt))
 
     def sigmas(self, inputs: Inputs, dt: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         """Standard deviations over `dt` of velocity m/s, attitude rad, accelerometer bias m/s² and gyro bias rad/s."""
@@ -126,23 +122,51 @@ class ImuNoise(eqx.Module):
         )
 
 
-class PlanarStrapdown(AbstractMotion):
+class AbstractStrapdown(AbstractMotion):
+    """A stage with the IMU's sample and the process noise, between two half steps at constant velocity."""
+
+    noise: eqx.AbstractVar[ImuNoise]
+    biases: eqx.AbstractVar[int]
+    drift: eqx.AbstractVar[BiasDrift | None]
+
+    @abstractmethod
+    def drive(self, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
+        """The stage in the middle."""
+
+    @property
+    def stages(self) -> Any:
+        return half_coast, self.drive, half_coast
+
+    def step(self, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
+        for stage in self.stages:
+            state = stage(state, inputs, dt, w)
+        return state
+
+    def at(self, belief: Any) -> AbstractStrapdown:
+        """The motion with the speed of this belief where its biases drift with the way covered."""
+        return self if self.drift is None else eqx.tree_at(lambda m: m.drift, self, self.drift.at(belief))
+
+    def biases_after(self, state: Any, dt: Scalar, w: Sequence[Scalar]) -> Vector:
+        """The biases of anchors `dt` s later, given a draw for each."""
+        if self.drift is not None and self.biases:
+            return self.drift.drifted(state, dt, w)
+        bias: Vector = state.bias
+        walk = self.noise.sigma_range_walk
+        return bias + Vector(*w) * (walk.value * jnp.sqrt(dt)) if walk is not None and self.biases else bias
+
+
+class PlanarStrapdown(AbstractStrapdown):
     """The paper's planar mechanisation in world axes; `noise`: of the IMU; `biases`: number of range biases.
 
     `drift`: how these drift, None for the random walk of `noise`.
 
-    With `transport` the velocity also changes by −ω × v, Kwon et al. 2021, equation (2). That term belongs to a
-    velocity in rotating axes; the paper adds it to a velocity that is integrated to a position in world axes, as does
-    this form, whose Jacobian is the corrected matrix (22).
+    The velocity does not change by −ω × v, as in Kwon et al. 2021, equation (2): that term belongs to a velocity in
+    rotating axes, and the paper adds it to one that is integrated to a position in world axes.
     """
 
     noise: ImuNoise
-    transport: bool = eqx.field(static=True, default=False)
     biases: int = eqx.field(static=True, default=0)
     drift: BiasDrift | None = None
-
-    def at(self, belief: Any) -> PlanarStrapdown:
-        return drifting_at(self, belief)
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -152,15 +176,7 @@ class PlanarStrapdown(AbstractMotion):
     def noise_dimension(self) -> int:
         return 8 + self.biases
 
-    def step(self, state: PlanarInertial, inputs: Inputs, dt: Scalar, w: Vector) -> PlanarInertial:
-        return by_stages(self, state, inputs, dt, w)
-
-    @property
-    def stages(self) -> Any:
-        return half_coast, self.drive, half_coast
-
     def drive(self, state: PlanarInertial, inputs: Inputs, dt: Scalar, w: Vector) -> PlanarInertial:
-        """The stage with the IMU's sample and the process noise."""
         has_accel, has_gyro = imu_available(inputs)
         sigma_velocity, sigma_attitude, accel_walk, gyro_walk = self.noise.sigmas(inputs, dt)
         rate = jnp.where(has_gyro, inputs["gyro"][2] - state.gyro_bias, 0.0)
@@ -169,8 +185,6 @@ class PlanarStrapdown(AbstractMotion):
         mid_heading = state.attitude.angle + rate * (0.5 * dt)
         cosine, sine = jnp.cos(mid_heading), jnp.sin(mid_heading)
         rotated = Vector(cosine * x - sine * y, sine * x + cosine * y)
-        if self.transport:
-            rotated = rotated + Vector(rate * state.velocity[1], -rate * state.velocity[0])
         acceleration = Vector.of(jnp.where(has_accel, a, 0.0) for a in rotated)
         position, velocity = accelerated(state.position, state.velocity, acceleration, dt, sigma_velocity, w)
         return PlanarInertial(
@@ -179,11 +193,11 @@ class PlanarStrapdown(AbstractMotion):
             state.accel_bias + Vector(*w.parts[4:6]) * accel_walk,
             Heading(state.attitude.angle + rate * dt + w[6] * sigma_attitude),
             state.gyro_bias + w[7] * gyro_walk,
-            biases_after(self, state, dt, w.parts[8:]),
+            self.biases_after(state, dt, w.parts[8:]),
         )
 
 
-class Strapdown(AbstractMotion):
+class Strapdown(AbstractStrapdown):
     """The mechanisation in three dimensions, world axes with z up (Solà 2017, section 5.2); `noise`: of the IMU.
 
     `gravity`: specific force at rest, m/s². Optional input `arm` (3,) m: the lever arm, from the IMU in body axes, of
@@ -204,9 +218,6 @@ class Strapdown(AbstractMotion):
         self.arm = Real(np.zeros(3), "m", typical=0.05)
         self.gravity = gravity if isinstance(gravity, Noise) else Real(gravity, "m/s^2", typical=0.1)
 
-    def at(self, belief: Any) -> Strapdown:
-        return drifting_at(self, belief)
-
     @property
     def inputs(self) -> tuple[Input, ...]:
         return ACCEL, GYRO, IMU, ARM
@@ -215,15 +226,7 @@ class Strapdown(AbstractMotion):
     def noise_dimension(self) -> int:
         return 15 + self.biases
 
-    def step(self, state: Inertial, inputs: Inputs, dt: Scalar, w: Vector) -> Inertial:
-        return by_stages(self, state, inputs, dt, w)
-
-    @property
-    def stages(self) -> Any:
-        return half_coast, self.drive, half_coast
-
     def drive(self, state: Inertial, inputs: Inputs, dt: Scalar, w: Vector) -> Inertial:
-        """The stage with the IMU's sample and the process noise."""
         has_accel, has_gyro = imu_available(inputs)
         sigma_velocity, sigma_attitude, accel_walk, gyro_walk = self.noise.sigmas(inputs, dt)
         rate = Vector.of(jnp.where(has_gyro, inputs["gyro"][k] - state.gyro_bias[k], 0.0) for k in range(3))
@@ -242,33 +245,13 @@ class Strapdown(AbstractMotion):
             turned,
             state.accel_bias + Vector(*w.parts[9:12]) * accel_walk,
             state.gyro_bias + Vector(*w.parts[12:15]) * gyro_walk,
-            biases_after(self, state, dt, w.parts[15:]),
+            self.biases_after(state, dt, w.parts[15:]),
         )
-
-
-def drifting_at(motion: Any, belief: Any) -> Any:
-    """The motion with the speed of this belief where its biases drift with the way covered."""
-    return motion if motion.drift is None else eqx.tree_at(lambda m: m.drift, motion, motion.drift.at(belief))
-
-
-def biases_after(motion: Any, state: Any, dt: Scalar, w: Sequence[Scalar]) -> Vector:
-    """The biases of anchors `dt` s later, given a draw for each."""
-    bias: Vector = state.bias
-    if motion.biases:
-        bias = motion.noise.walked(bias, dt, w) if motion.drift is None else motion.drift.drifted(state, dt, w)
-    return bias
 
 
 def imu_available(inputs: Inputs) -> tuple[Scalar, Scalar]:
     """Whether the row's accelerometer and its gyro are available."""
     return inputs["imu"][0] > 0.5, inputs["imu"][1] > 0.5
-
-
-def by_stages(motion: AbstractMotion, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
-    """A step as the composition of its stages."""
-    for stage in motion.stages:
-        state = stage(state, inputs, dt, w)
-    return state
 
 
 def half_coast(state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:

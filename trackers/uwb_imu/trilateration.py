@@ -108,13 +108,13 @@ def multilateration_tracker(planar: bool = False, sigma_r: float = 0.1) -> Multi
     return Multilateration(Scale(sigma_r, "m"), RANGES, planar)
 
 
-def compensation(sigma: Scalar, count: int = 3) -> Scalar:
-    """The term that (14) and (15) add to a range, m: the half-width 1.96 J/√N of its 95 % interval.
+def compensation(sigma: Scalar) -> Scalar:
+    """The term that (14) and (15) add to a range, m: the half-width 1.96 J/√N of its 95 % interval, for three anchors.
 
     J is taken as the range's standard deviation, m; the paper calls it a Cramér–Rao bound without a unit. The term
     always lengthens a range.
     """
-    return 1.96 * sigma / count**0.5
+    return 1.96 * sigma / 3**0.5
 
 
 def intersections(first: Vector, second: Vector, radius: Scalar, other: Scalar) -> tuple[Vector, Vector]:

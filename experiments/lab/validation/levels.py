@@ -18,7 +18,7 @@ import trackwright as tw
 from trackwright.experiments.lab.runner import EVIDENCE, Case, Figures, read
 from trackwright.experiments.lab.validation.sites import read as recording
 from trackwright.trackers.recordings.tracks import TrackerBatch
-from trackwright.tuning.data import FitArrays, fit_data
+from trackwright.tuning.data import fit_data
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 
@@ -108,8 +108,8 @@ class Objective:
         self.parts = []
         for group in self.groups:
             data = fit_data(replace(group, tracker=self._tracker(group, self.now)), "state-nll")
-            problem = Problem(data.tracker, data.batches(), data.objective, select_parameters(data.tracker, ["*"]))
-            self.parts.append((problem, FitArrays.of(data).recordings_of(problem)))
+            problem = Problem(data.tracker, data.rows.batches, data.objective, select_parameters(data.tracker, ["*"]))
+            self.parts.append((problem, data.rows.recordings_of(problem)))
 
     def start(self) -> np.ndarray:
         """The logarithms of the present defaults."""

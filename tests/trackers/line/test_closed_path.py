@@ -11,7 +11,8 @@ from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
-from trackwright.trackers.line.tracker import FIXES, FloorFixes
+from trackwright.trackers.line.tracker import FloorFixes
+from trackwright.trackers.parts.fixes import FIXES
 
 CORNERS = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]]
 LOOP, LAPS = Polyline([*CORNERS, CORNERS[0]]), Polyline([*CORNERS, *CORNERS, *CORNERS, CORNERS[0]])

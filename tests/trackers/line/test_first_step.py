@@ -12,7 +12,8 @@ from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
-from trackwright.trackers.line.tracker import FIXES, FloorFixes
+from trackwright.trackers.line.tracker import FloorFixes
+from trackwright.trackers.parts.fixes import FIXES
 
 LINE, CORNER = Polyline([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0]]), 2.0
 DT, SIGMA_A, SIGMA_FIX, HALTING = 1.0, 0.1, 0.2, 0.6

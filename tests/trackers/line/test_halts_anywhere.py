@@ -18,7 +18,8 @@ from trackwright.trackers.core.run.chunks import as_dtype
 from trackwright.trackers.core.run.tracker import Tracker, filter_batch
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, PathOutputMap
-from trackwright.trackers.line.tracker import FIXES, FloorFixes
+from trackwright.trackers.line.tracker import FloorFixes
+from trackwright.trackers.parts.fixes import FIXES
 
 LINE, SIGMA_FIX, TRAVEL, KEYS = Polyline([[0.0, 0.0], [5.0, 0.0]]), 0.3, 2.0, 64
 MAP = PathOutputMap(LINE, Scale(1e-3, "m"))

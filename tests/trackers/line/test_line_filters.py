@@ -15,7 +15,8 @@ from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
-from trackwright.trackers.line.tracker import FIXES, FloorFixes
+from trackwright.trackers.line.tracker import FloorFixes
+from trackwright.trackers.parts.fixes import FIXES
 
 KEYS, ROWS, DT = 200, 12, 0.5
 PARTICLES = 4000

@@ -10,7 +10,8 @@ from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.line.tracker import FIXES, FloorFixes, LineStart
+from trackwright.trackers.line.tracker import FloorFixes, LineStart
+from trackwright.trackers.parts.fixes import FIXES
 
 KEYS, PARTICLES = 64, 500
 TUNED = ("motion.*", "sensors.*", "start.sigma_start")

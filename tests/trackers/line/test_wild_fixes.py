@@ -9,7 +9,8 @@ from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import LineMotion, PathOutputMap
-from trackwright.trackers.line.tracker import FIXES, FloorFixes, line_grid_tracker, line_tracker
+from trackwright.trackers.line.tracker import FloorFixes, line_grid_tracker, line_tracker
+from trackwright.trackers.parts.fixes import FIXES
 
 LENGTH, ROWS, DT, SIGMA, DOF = 20.0, 150, 0.1, 0.3, 4.0
 TIMES = DT * np.arange(ROWS)

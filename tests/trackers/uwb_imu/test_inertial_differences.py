@@ -22,6 +22,7 @@ from trackwright.trackers.uwb_imu.difference_rows import SHARED, correlations
 from trackwright.trackers.uwb_imu.fusion import TDOA
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise
+from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 ANCHORS = np.array([[0, 0, 0.2], [8, 0, 2.7], [8, 6, 0.3], [0, 6, 2.6]], float)
 PAIRS = np.array([(1, 0), (2, 0), (3, 0)])
@@ -111,9 +112,9 @@ def test_moments_and_likelihood_are_those_of_a_filter_in_numpy():
         "height": np.zeros(rows),
     }
     reported = np.concatenate([np.zeros((rows, 3)), correlations(np.tile(PAIRS, (rows, 1, 1)), seen)], axis=1)
-    tracker = inertial_difference_tracker(4, 3, False, NOISE, SIGMA, 1e8, BiasDrift(SIGMA_BIAS, LASTS, 1e9), 1)
+    tracker = inertial_difference_tracker(4, 3, False, NOISE, SIGMA, 1e8, BiasDrift(SIGMA_BIAS, LASTS, 1e9))
     recording = Recording(times, {TDOA: Readings(values, seen, reported)}, inputs)
-    found = replace(tracker, track_loss=NEVER_LOST).run(recording)
+    found = replace(tracker, filter=YawMixtureFilter(count=1), track_loss=NEVER_LOST).run(recording)
     sigmas = [1.0, 1.0, 2.0, *[1.0] * 3, *[0.15] * 3, *[0.3] * 3, *[0.03] * 3, *[SIGMA_BIAS] * 4]
     P = np.diag(np.square(sigmas))
     P[8, 8] += 1.0  # the unknown yaw

@@ -68,7 +68,7 @@ def test_a_body_at_rest_starts_with_the_measured_gyro_bias_known_ten_times_bette
     nearby, biases = np.array([1.0, 2.0, 1.5, 1.0]), []
     for at_rest in (0.0, 1.0):
         inputs = {"nearby": nearby, "rest": np.array([0.0, 0.0, 9.81, 0.01, -0.02, 0.04, at_rest])}
-        belief = InertialStart(planar, sigma_gyro_bias=0.06).belief(nearby[:3], Row(0.0, True, {}, inputs, None, None))
+        belief = InertialStart(planar).belief(nearby[:3], Row(0.0, True, {}, inputs, None, None))
         n = 8 if planar else 15
         diagonal = [p for p, (i, j) in zip(belief.cov, zip(*np.triu_indices(n), strict=True), strict=True) if i == j]
         first, count = (7, 1) if planar else (12, 3)
@@ -76,8 +76,8 @@ def test_a_body_at_rest_starts_with_the_measured_gyro_bias_known_ten_times_bette
     (unknown, loose), (measured, tight) = biases
     np.testing.assert_array_equal(unknown, 0.0)
     np.testing.assert_allclose(measured, [0.04] if planar else [0.01, -0.02, 0.04], rtol=1e-12)
-    np.testing.assert_allclose(loose, 0.06, rtol=1e-12)
-    np.testing.assert_allclose(tight, 0.006, rtol=1e-12)
+    np.testing.assert_allclose(loose, 0.03, rtol=1e-12)
+    np.testing.assert_allclose(tight, 0.003, rtol=1e-12)
 
 
 def test_tags_on_one_body_share_their_ranges_and_their_imu_and_others_do_not():

@@ -22,8 +22,9 @@ from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.line.motion import HaltingMotion, LineMotion
 from trackwright.trackers.line.rows import path_of
-from trackwright.trackers.line.tracker import FIXES, FloorFixes, line_grid_tracker, line_motion, line_tracker
+from trackwright.trackers.line.tracker import FloorFixes, line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import knot_times
+from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.trajectories import Trajectory
 
@@ -120,7 +121,6 @@ def _ended(trajectory: Trajectory) -> LineMotion:
 
 
 def _open(trajectory: Trajectory) -> LineMotion:
-    path_of(trajectory.folder)
     return LineMotion(open_ended(trajectory.folder.rig.path_knots), 0.1)
 
 
