@@ -45,6 +45,7 @@ from trackwright.trackers.core.data.recording import stack as stack
 from trackwright.trackers.core.errors import UnusableInput as UnusableInput
 from trackwright.trackers.core.filters.ekf import ExtendedKalman as ExtendedKalman
 from trackwright.trackers.core.filters.filter import AbstractFilter as AbstractFilter
+from trackwright.trackers.core.filters.filter import AbstractStart as AbstractStart
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter as ParticleFilter
 from trackwright.trackers.core.model.algebra import Vector as Vector
 from trackwright.trackers.core.model.algebra import diagonal as diagonal
@@ -66,7 +67,6 @@ from trackwright.trackers.core.model.sensor import Reading as Reading
 from trackwright.trackers.core.model.sensor import Residual as Residual
 from trackwright.trackers.core.model.sensor import Row as Row
 from trackwright.trackers.core.model.sensor import independent as independent
-from trackwright.trackers.core.model.start import AbstractStart as AbstractStart
 from trackwright.trackers.core.model.state import Heading as Heading
 from trackwright.trackers.core.model.tunable import Covariance as Covariance
 from trackwright.trackers.core.model.tunable import Fraction as Fraction

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, UInt32
 
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
+from trackwright.trackers.core.filters.filter import AbstractFilter, AbstractStart, Innovation
 from trackwright.trackers.core.jax_private import live_part
 from trackwright.trackers.core.model import covariance
 from trackwright.trackers.core.model.algebra import Scalar, mark_dependent, select, total
@@ -34,10 +34,9 @@ from trackwright.trackers.core.model.covariance import (
     side_by_side,
     with_covariances,
 )
-from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.inputs import RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
 
 
