@@ -73,6 +73,7 @@ from trackwright.trackers.core.model.tunable import Fraction as Fraction
 from trackwright.trackers.core.model.tunable import Real as Real
 from trackwright.trackers.core.model.tunable import Scale as Scale
 from trackwright.trackers.core.model.tunable import tunables as tunables
+from trackwright.trackers.core.programs import cache_programs as cache_programs
 from trackwright.trackers.core.run.smoother import Smoothed as Smoothed
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy as TrackLossPolicy
 from trackwright.trackers.core.run.tracker import AbstractTracker as AbstractTracker
@@ -95,7 +96,6 @@ from trackwright.trackers.parts.fixes import FixSensor as FixSensor
 from trackwright.trackers.parts.fixes import fix_trajectories as fix_trajectories
 from trackwright.trackers.parts.ranges import RangeSensor as RangeSensor
 from trackwright.trackers.parts.ranges import range_trajectories as range_trajectories
-from trackwright.trackers.programs.program_cache import cache_programs as cache_programs
 from trackwright.trackers.recordings.calibration import AnchorCalibration as AnchorCalibration
 from trackwright.trackers.recordings.calibration import Calibration as Calibration
 from trackwright.trackers.recordings.calibration import StationCalibration as StationCalibration

@@ -87,9 +87,7 @@ class AbstractExtendedKalman(AbstractSmoothableFilter[Gaussian]):
             cov = tuple(a if a is b else compute_once(a) for a, b in zip(grown, cov, strict=True))
         return Gaussian(compute_once(mean), cov)
 
-    def rts_gain(
-        self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
-    ) -> Any:
+    def rts_gain(self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:
         """The RTS gains to the next time step, `dt` s later; `connected`: whether that step continues the track."""
         from trackwright.trackers.core.filters.rts import rts_gain
 

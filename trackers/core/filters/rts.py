@@ -31,6 +31,7 @@ from trackwright.trackers.core.model.covariance import (
     transposed_product,
     with_covariances,
 )
+from trackwright.trackers.core.model.inputs import Elapsed
 from trackwright.trackers.core.model.state import State, local, retract
 
 Matrices = Float[Array, "n n B"]

@@ -20,8 +20,8 @@ from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.covariance import FEW, compiler_options, few, side_by_side
 from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.programs import kept_program
 from trackwright.trackers.core.run.scan import Output
-from trackwright.trackers.programs.traced_programs import kept_program
 
 Tree = TypeVar("Tree")
 
