@@ -115,8 +115,8 @@ from trackwright.trackers.recordings.kinds import add_kind as add_kind
 from trackwright.trackers.recordings.named_tracker import NamedTracker as NamedTracker
 from trackwright.trackers.recordings.named_tracker import TrackerSpec as TrackerSpec
 from trackwright.trackers.recordings.tracks import Tracks as Tracks
-from trackwright.trackers.recordings.trajectories import Trajectory as Trajectory
-from trackwright.trackers.recordings.trajectories import kind_trajectories as kind_trajectories
+from trackwright.trackers.recordings.tracks import Trajectory as Trajectory
+from trackwright.trackers.recordings.tracks import kind_trajectories as kind_trajectories
 from trackwright.trackers.uwb_imu.fusion import range_tracker as range_tracker
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker as inertial_tracker
 from trackwright.trackers.uwb_imu.trilateration import multilateration_tracker as multilateration_tracker

@@ -18,8 +18,14 @@ from trackwright.trackers.core.run.requirements import check_input
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_list
-from trackwright.trackers.recordings.tracks import TrackerBatch, batches
-from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
+from trackwright.trackers.recordings.tracks import (
+    TrackerBatch,
+    Trajectories,
+    Trajectory,
+    batches,
+    segments,
+    with_floor_truth,
+)
 from trackwright.tuning.objectives import (
     AbstractObjective,
     MissingQuantityError,

@@ -36,8 +36,7 @@ from trackwright.trackers.core.programs import Program, compiled_program, kept_p
 from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks import TrackerBatch
-from trackwright.trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectories
 
 SEEN = 0.7
 """Share of the readings that are there in the third of the trajectories that are compared."""

@@ -34,7 +34,7 @@ from trackwright.trackers.core.model.tunable import Considered, Covariance, Real
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy, TrackScorePolicy
 from trackwright.trackers.recordings.checks.rules import without_height
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
+from trackwright.trackers.recordings.tracks import Trajectories, known_heights, trajectories_of
 
 FIXES = "fixes"
 

@@ -7,8 +7,16 @@ import pytest
 
 import trackwright as tw
 from trackwright.experiments.text.expectations import PREDICTED, ExpectedResult, Value, with_interval
-from trackwright.experiments.text.tables import Section, archive_text, cells, markdown, sections_text
-from trackwright.experiments.text.wording import Unit, rounded, unit_of
+from trackwright.experiments.text.tables import (
+    Section,
+    Unit,
+    archive_text,
+    cells,
+    markdown,
+    rounded,
+    sections_text,
+    unit_of,
+)
 from trackwright.trackers.evaluation.metrics import METRICS
 
 MM = Unit("mm", 1.0)

@@ -16,8 +16,7 @@ from jaxtyping import Bool, DTypeLike, Float, Shaped, UInt32
 from numpy.typing import ArrayLike
 
 from trackwright.trackers.core.data.frames import recording_html
-from trackwright.trackers.core.data.seconds import seconds, span
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, seconds, span
 from trackwright.trackers.core.model.inputs import AnyArray, trajectory_key_data
 from trackwright.trackers.core.model.sensor import Reading
 

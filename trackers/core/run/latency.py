@@ -16,8 +16,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from trackwright.trackers.core.data import HOLE_M, HOLE_S
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S
 from trackwright.trackers.core.model.algebra import Scalar, Vector, congruence, full, triangle
 from trackwright.trackers.core.model.covariance import AnyCovariance, as_scalars
 from trackwright.trackers.core.model.inputs import Elapsed

@@ -21,8 +21,7 @@ from jaxtyping import DTypeLike, Float
 
 from trackwright.trackers.core.data.estimates import Estimates, Status
 from trackwright.trackers.core.data.recording import Batch, Recording, stack
-from trackwright.trackers.core.data.seconds import moment
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, moment
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.filters.filter import AbstractFilter, AbstractStart, Innovation
 from trackwright.trackers.core.model.algebra import Scalar, compute_once, select, total, where_mostly

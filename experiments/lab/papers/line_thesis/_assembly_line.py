@@ -25,7 +25,7 @@ from trackwright.trackers.line.rows import path_of
 from trackwright.trackers.line.tracker import FIXES, FloorFixes, line_grid_tracker, line_motion, line_tracker
 from trackwright.trackers.line.truth import knot_times
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.recordings.tracks import Trajectory
 
 SITUATIONS = {"situation 1": "constant", "situation 2": "halts", "situation 3": "speeds"}
 
