@@ -172,8 +172,8 @@ class Columns:
         """Values per recording (n, …), repeated for each of its rows (N, …)."""
         return np.repeat(values, np.diff(self.starts), axis=0)
 
-    def padded(self, rows: np.ndarray, width: int | None = None) -> np.ndarray:
-        """The values of all rows (N, …) by recording (n, width, …), NaN or zero beyond its end.
+    def padded(self, rows: np.ndarray, width: int | None = None, missing: float = np.nan) -> np.ndarray:
+        """The values of all rows (N, …) by recording (n, width, …), zero or, of floats, `missing` beyond its end.
 
         `width`: by default as many as the longest recording has.
         """
@@ -181,7 +181,8 @@ class Columns:
         width = width or int(lengths.max())
         if (lengths == width).all():
             return rows.reshape(len(self), width, *rows.shape[1:])
-        padded = np.full((len(self), width, *rows.shape[1:]), np.nan if rows.dtype.kind == "f" else 0, rows.dtype)
+        missing = missing if rows.dtype.kind == "f" else 0
+        padded = np.full((len(self), width, *rows.shape[1:]), missing, rows.dtype)
         padded[np.arange(width) < lengths[:, None]] = rows
         return padded
 
@@ -200,23 +201,16 @@ class Columns:
         rows = rows or longest
         if rows < longest:
             raise UnusableInput(f"rows = {rows} is less than the longest recording's {longest}")
-        first, equally_long = self.starts[:-1], bool(lengths.min() == longest)
-        place = None if equally_long else np.flatnonzero(np.arange(longest) < lengths[:, None])
 
         def pile(array: np.ndarray, kind: DTypeLike) -> Shaped[np.ndarray, "rows *shape B"]:
-            shape = np.shape(array)[1:]
-            if not equally_long:
-                padded = np.zeros((size * longest, *shape), kind)
-                padded[place] = array
-                array = padded
-            out = np.zeros((rows, *shape, size), kind)
-            rows_last = np.moveaxis(np.reshape(array, (size, longest, *shape)), 0, -1)
+            out = np.zeros((rows, *np.shape(array)[1:], size), kind)
+            rows_last = np.moveaxis(self.padded(np.asarray(array), missing=0), 0, -1)
             for k in range(0, size if np.any(array) else 0, 32):  # trajectories whose rows fit the cache
                 out[:longest, ..., k : k + 32] = rows_last[..., k : k + 32]
             return out
 
         dt = np.diff(self.times, prepend=self.times[:1])
-        dt[first] = 0.0
+        dt[self.starts[:-1]] = 0.0
         return Batch(
             dt=pile(dt, dtype),
             valid=np.arange(rows)[:, None] < lengths,

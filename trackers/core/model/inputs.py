@@ -97,19 +97,14 @@ def trajectory_key_data(seed: int, ids: Sequence[int]) -> UInt32[np.ndarray, "2 
 
     Different ids have different keys. Raises ValueError for seeds and ids that are no whole numbers from 0 to 2^64 - 1.
     """
-    for what, numbers in (("the seed", [seed]), ("a trajectory id", ids)):
-        wrong = next((x for x in numbers if not (isinstance(x, (int, np.integer)) and 0 <= x < 2**64)), None)
-        if wrong is not None:
-            raise ValueError(f"{what} is {wrong!r}; expected a whole number from 0 to 2^64 - 1")
-    (key,), words = _words([seed]), _words(ids)
-    # The sums of the generator wrap.
+    for k, x in enumerate((seed, *ids)):
+        if not (isinstance(x, (int, np.integer)) and 0 <= x < 2**64):
+            what = "a trajectory id" if k else "the seed"
+            raise ValueError(f"{what} is {x!r}; expected a whole number from 0 to 2^64 - 1")
+    # The high and low 32 bits of each number; the sums of the generator wrap.
+    key, *words = np.array([[int(x) >> 32, int(x) & 0xFFFFFFFF] for x in (seed, *ids)], np.uint32)
     with np.errstate(over="ignore"):
-        return np.stack(threefry(key, words[:, 0], words[:, 1]))
-
-
-def _words(numbers: Sequence[int]) -> UInt32[np.ndarray, "n 2"]:
-    """The high and low 32 bits of each number, (n, 2)."""
-    return np.array([[int(x) >> 32, int(x) & 0xFFFFFFFF] for x in numbers], np.uint32).reshape(-1, 2)
+        return np.stack(threefry(key, *np.reshape(words, (-1, 2)).T))
 
 
 class Elapsed(NamedTuple):
