@@ -184,7 +184,7 @@ class Estimates:
         counted = np.isfinite(self.nis)
 
         def summed(values: np.ndarray) -> np.ndarray:
-            return np.add.reduceat(values[rows].astype(float), first) if len(first) else np.zeros(0)
+            return np.add.reduceat(values[rows].astype(float), first)
 
         return {
             "log_likelihood": summed(self.log_likelihood),
@@ -212,8 +212,6 @@ class Estimates:
     def status_per_time(self, last: Bool[np.ndarray, "*rows"]) -> Int[np.ndarray, " N"]:
         """The status (N,) of each time, whose `last` row (…, T) `last_rows` gives; see `per_time`."""
         rows, status = self.status != Status.PADDING, self.status[last]
-        if np.array_equal(rows, last):
-            return status
         first = np.flatnonzero(np.append(True, last[rows])[:-1])
 
         def occurs(status: Status) -> np.ndarray:

@@ -101,8 +101,13 @@ class Layout(NamedTuple):
                     )
         return first._replace(arrays=[r.inputs for r in recordings])
 
-    def check_readings(self, reader: str, name: str, channels: Sequence[Channel] | int) -> None:
-        """Raises UnusableInput without readings `name` with exactly these channels, or with at least this number."""
+    def check_readings(
+        self, reader: str, name: str, channels: Sequence[Channel] | int, reported: Sequence[Channel] = ()
+    ) -> None:
+        """Raises UnusableInput without readings `name` with exactly these channels, or with at least this number.
+
+        Also for other noise than `reported`; none is always accepted.
+        """
         if name not in self.readings:
             raise UnusableInput(
                 f"{self.where}: found readings of {listed(self.readings) or 'no sensor'}; expected '{name}', which "
@@ -120,13 +125,11 @@ class Layout(NamedTuple):
                 "one column per channel, with seen = False where a value is missing"
             )
 
-    def check_reported(self, reader: str, name: str, columns: Sequence[Channel]) -> None:
-        """Raises UnusableInput for reported noise in other columns than a sensor reads; none is always accepted."""
-        number = self.readings[name][1]
-        if number and columns and number != len(columns):
+        noise = self.readings[name][1]
+        if noise and reported and noise != len(reported):
             raise UnusableInput(
-                f"{self.where}: readings['{name}'].reported has {counted(number, 'column')}; expected the "
-                f"{len(columns)} of {reader}, {_span(columns)}, or none; usual fix: the square of each standard "
+                f"{self.where}: readings['{name}'].reported has {counted(noise, 'column')}; expected the "
+                f"{len(reported)} of {reader}, {_span(reported)}, or none; usual fix: the square of each standard "
                 "deviation, or leave `reported` out"
             )
 
@@ -250,8 +253,7 @@ class GivenInputs(dict[str, Any]):
 def check_parts(layout: Layout, tracker: RecursiveTracker) -> None:
     """Raises UnusableInput unless recordings of this layout have what the parts of a recursive tracker read."""
     for name, sensor in tracker.sensors.items():
-        layout.check_readings(_sensor(name, sensor), name, sensor.channels)
-        layout.check_reported(_sensor(name, sensor), name, sensor.reported)
+        layout.check_readings(_sensor(name, sensor), name, sensor.channels, sensor.reported)
     for name, least in tracker.start.readings.items():
         layout.check_readings(f"the start ({type(tracker.start).__name__})", name, least)
     readers = list(_readers(tracker))
