@@ -62,7 +62,14 @@ class Recording:
 
     def __post_init__(self) -> None:
         times = seconds(self.times)
-        check_rows(self.name, times, self.readings, self.inputs, self.truth)
+        check_times(self.name, times)
+        for name, readings in self.readings.items():
+            _check_readings(f"{self.name}: readings['{name}']", readings, len(times))
+        for name, values in self.inputs.items():
+            _check_array(f"{self.name}: inputs['{name}']", values, len(times))
+        for name, (values, known) in self.truth.items():
+            _check_array(f"{self.name}: truth['{name}']", values, len(times))
+            _check_array(f"{self.name}: truth['{name}'], where it is known,", known, len(times))
         object.__setattr__(self, "times", read_only(times))
         object.__setattr__(self, "inputs", {name: read_only(x) for name, x in self.inputs.items()})
         truth = {name: (read_only(values), read_only(known)) for name, (values, known) in self.truth.items()}
@@ -286,24 +293,6 @@ def stack(
     if not len(recordings):
         raise UnusableInput("stack: found no recording; expected one or more; usual fix: look at how the list is made")
     return Columns.of(recordings).batch(rows, dtype, seed)
-
-
-def check_rows(
-    name: str,
-    times: np.ndarray,
-    readings: Mapping[str, Readings],
-    inputs: Mapping[str, np.ndarray],
-    truth: Mapping[str, tuple[np.ndarray, np.ndarray]],
-) -> None:
-    """Raises UnusableInput, naming the recording, where times are unsorted, shapes differ or a number isn't finite."""
-    check_times(name, times)
-    for sensor, of_sensor in readings.items():
-        _check_readings(f"{name}: readings['{sensor}']", of_sensor, len(times))
-    for quantity, values in inputs.items():
-        _check_array(f"{name}: inputs['{quantity}']", values, len(times))
-    for quantity, (values, known) in truth.items():
-        _check_array(f"{name}: truth['{quantity}']", values, len(times))
-        _check_array(f"{name}: truth['{quantity}'], where it is known,", known, len(times))
 
 
 def check_times(name: str, times: np.ndarray) -> None:
