@@ -6,17 +6,9 @@ import numpy as np
 import pytest
 
 import trackwright as tw
+from trackwright.experiments.text import tables
 from trackwright.experiments.text.expectations import PREDICTED, ExpectedResult, Value, with_interval
-from trackwright.experiments.text.tables import (
-    Section,
-    Unit,
-    archive_text,
-    cells,
-    markdown,
-    rounded,
-    sections_text,
-    unit_of,
-)
+from trackwright.experiments.text.tables import Section, Unit, archive_text, cells, markdown, rounded, sections_text
 from trackwright.trackers.evaluation.metrics import METRICS
 
 MM = Unit("mm", 1.0)
@@ -34,7 +26,7 @@ def test_digits_follow_the_spread():
     assert [rounded(1.23456, 0.02), rounded(123.456, 20.0), rounded(0.0, 1.0), rounded(np.nan, 1.0)] == [
         "1.235", "123", "0", "–",
     ]  # fmt: skip
-    assert with_interval(Value(0.1234, 0.1204, 0.1264), unit_of("rmse_m", [0.1234])) == "12.34 (12.04 … 12.64)"
+    assert with_interval(Value(0.1234, 0.1204, 0.1264), tables.unit_of("rmse_m", [0.1234])) == "12.34 (12.04 … 12.64)"
     assert with_interval(Value(0.1234, np.nan, np.nan)) == "0.123"
 
 
