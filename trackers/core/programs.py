@@ -47,6 +47,9 @@ VARIABLE = "TRACKWRIGHT_CACHE"
 LIMIT_BYTES = 512 * 2**20
 """The most bytes of all programs; the least recently used are removed first."""
 
+CHECKED_EVERY = 16
+"""Programs written between two checks of the directory's size."""
+
 DIGEST_BYTES = 16
 FOLDER_PREFIX, PREFIX = "jaxlib-", "traced-"  # of a version's folder, and of the files of programs with the second key
 
@@ -150,7 +153,7 @@ class ProgramStore:
 
     def __init__(self, folder: Path, report: Callable[[str], object]) -> None:
         self._path, self.report = folder, report  # jax reads `_path`
-        self.writable = True
+        self.writable, self.written = True, 0
         self.loaded: dict[bytes, Program] = {}
 
     def __call__(self, path: str) -> tuple[ProgramStore, str]:
@@ -181,7 +184,9 @@ class ProgramStore:
         try:
             temporary.write_bytes(_digest(value) + value)
             temporary.replace(self._path / key)
-            remove_oldest(self._path.parent)
+            if self.written % CHECKED_EVERY == 0:
+                remove_oldest(self._path.parent)
+            self.written += 1
         except OSError as error:
             self.writable = False
             with suppress(OSError):
