@@ -238,6 +238,9 @@ def _is_sequence(recordings: Any) -> bool:
 class MissingInputError(KeyError):
     """A part reads an input, or readings, neither declared nor given: its reader, its name, and whether of readings."""
 
+    def __str__(self) -> str:
+        return repr(self.args[1])
+
 
 class GivenInputs(dict[str, Any]):
     """The inputs of a row, or its `readings`; a missing one raises MissingInputError with the name of its reader."""
