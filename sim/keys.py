@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Float32, Key, UInt32
 
-from trackwright.trackers.core.model.keys import threefry
+from trackwright.trackers.core.model.inputs import threefry
 
 Keys = Key[jax.Array, " n"]
 """Typed keys of JAX, one per trajectory."""

@@ -25,7 +25,7 @@ from trackwright.trackers.core.data.recording import Recording
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.columns import TagRows, TruePaths
 from trackwright.trackers.recordings.folder import RecordingFolder, Tables
-from trackwright.trackers.recordings.trajectories import known_height
+from trackwright.trackers.recordings.tracks import known_height
 
 AXES = ("x_m", "y_m", "z_m")  # the columns of a position
 

@@ -58,7 +58,7 @@ from trackwright.trackers.parts.ranges import RANGES, RangeSensor
 from trackwright.trackers.parts.singer import Singer
 from trackwright.trackers.recordings.calibration import UNCALIBRATED, Calibration, floor_grid
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.trajectories import Trajectory, cut
+from trackwright.trackers.recordings.tracks import Trajectory, cut
 from trackwright.trackers.uwb_imu.body import BodyState, TurningBody, Wheels
 from trackwright.trackers.uwb_imu.fusion import RangeDifferenceSensor
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker

@@ -27,7 +27,7 @@ import pytest
 from tests.faulty import good_tables, write_good
 from tests.in_process import trackwright
 from trackwright.experiments.lab.demo import REAL
-from trackwright.trackers.programs.program_cache import cache_programs
+from trackwright.trackers.core.programs import cache_programs
 
 cache_programs()
 

@@ -15,7 +15,7 @@ import jax
 from trackwright.experiments.cli.main import main
 from trackwright.experiments.pages import chart as style
 from trackwright.experiments.text import terminal
-from trackwright.trackers.programs import traced_programs
+from trackwright.trackers.core import programs
 
 PLAIN = ("--figures", "none")
 """Options of a command whose pictures and pages a test does not look at."""
@@ -39,7 +39,7 @@ def trackwright(*arguments: str | Path | float) -> CommandResult:
         mock.patch.object(terminal.ERRORS, "quiet", False),
         mock.patch.dict(style.STYLE, {"savefig.dpi": 40}),
         # Tests replace functions of ours, of which a program that is not traced knows nothing.
-        mock.patch.object(traced_programs, "use"),
+        mock.patch.object(programs, "use"),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):

@@ -9,11 +9,11 @@ import jax
 import numpy as np
 
 from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.model.algebra import total
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, independent
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 
 NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)

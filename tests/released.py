@@ -23,7 +23,7 @@ import numpy as np
 from tests.digests import KEPT as COMPUTED
 from tests.digests import subject
 from tests.json_lines import write_json
-from trackwright.trackers.programs.program_cache import processor
+from trackwright.trackers.core.programs import processor
 
 KEPT = Path(__file__).with_suffix(".json")
 CHANGES = Path(__file__).parents[1] / "CHANGELOG.md"

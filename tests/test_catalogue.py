@@ -13,11 +13,10 @@ import pytest
 from tests.catalogue import CASES, MOTIONS, SENSORS
 from trackwright import trackers
 from trackwright.trackers.catalogue import TRACKERS
-from trackwright.trackers.core.filters.filter import AbstractFilter
+from trackwright.trackers.core.filters.filter import AbstractFilter, AbstractStart
 from trackwright.trackers.core.filters.particle.filter import AbstractOutputMap, AbstractPotential
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker
 

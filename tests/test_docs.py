@@ -17,7 +17,7 @@ import pytest
 import trackwright as tw
 from tests.in_process import PLAIN, trackwright
 from trackwright.experiments.lab.demo import REAL
-from trackwright.trackers.core import user_file
+from trackwright.trackers.core import on_demand
 from trackwright.trackers.recordings.kinds import KINDS
 
 ROOT = Path(__file__).parents[1]
@@ -154,7 +154,7 @@ def hall(tmp_path, monkeypatch):
 def _as_in_a_new_process() -> None:
     """Forgets the kind, and that its file was run."""
     KINDS.pop("bistatic", None)
-    user_file._module.cache_clear()
+    on_demand._module.cache_clear()
 
 
 def test_a_kind_of_ones_own_is_read_checked_and_tracked(hall):

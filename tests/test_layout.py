@@ -31,7 +31,7 @@ def _part(module):
         inside, _, beyond = rest.partition(".")
         if inside == "core" and beyond.partition(".")[0] in CORE:
             return f"core.{beyond.partition('.')[0]}"
-        known = ("core", "programs", "recordings", "parts", "evaluation", "exchange", "conformance", *SYSTEMS)
+        known = ("core", "recordings", "parts", "evaluation", "exchange", "conformance", *SYSTEMS)
         return inside if inside in known else "trackers"
     if module.startswith("tuning.survey"):
         return module.split(".")[1]
@@ -43,14 +43,13 @@ def _part(module):
 CORE = ("model", "filters", "data", "run")
 ENGINE = {"core", *(f"core.{folder}" for folder in CORE)}
 BASE = {*ENGINE, "recordings", "parts"}
-LIBRARY = {*BASE, *SYSTEMS, "programs", "evaluation", "exchange", "conformance", "trackers"}
+LIBRARY = {*BASE, *SYSTEMS, "evaluation", "exchange", "conformance", "trackers"}
 MAY_IMPORT = {
     "core": {"core"},
     "core.model": {"core", "core.model"},
     "core.filters": {"core", "core.model", "core.filters"},
     "core.data": {"core", "core.model", "core.data"},
-    "core.run": {*ENGINE, "programs"},
-    "programs": {"core", "programs"},
+    "core.run": ENGINE,
     "recordings": {*ENGINE, "recordings"},
     "parts": BASE,
     **{system: {*BASE, system} for system in SYSTEMS},

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from trackwright.trackers.core.errors import UnusableInput, near
-from trackwright.trackers.core.user_file import from_file, split_name
+from trackwright.trackers.core.on_demand import from_file, split_name
 
 # Lists and shells have the names of trackers, for which neither jax nor polars need be imported.
 if TYPE_CHECKING:

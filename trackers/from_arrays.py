@@ -18,8 +18,7 @@ import polars as pl
 from trackwright.trackers.aoa.fusion import BEARINGS, bearing_inputs
 from trackwright.trackers.aoa.rays import recent_points
 from trackwright.trackers.core.data.recording import Readings, Recording, check_times
-from trackwright.trackers.core.data.seconds import seconds
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, seconds
 from trackwright.trackers.core.model.rig import Rig, Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.parts.fixes import FIXES

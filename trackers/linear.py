@@ -20,12 +20,12 @@ from jaxtyping import Float
 
 from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, times, total, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.motion import AbstractMotion, Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, Residual, Row
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.tunable import Covariance, Role, Scale
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker

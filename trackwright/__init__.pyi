@@ -29,6 +29,7 @@ from trackwright.trackers.core.data.recording import Recording as Recording
 from trackwright.trackers.core.data.recording import stack as stack
 from trackwright.trackers.core.errors import UnusableInput as UnusableInput
 from trackwright.trackers.core.filters.filter import AbstractFilter as AbstractFilter
+from trackwright.trackers.core.filters.filter import AbstractStart as AbstractStart
 from trackwright.trackers.core.model.algebra import Vector as Vector
 from trackwright.trackers.core.model.algebra import diagonal as diagonal
 from trackwright.trackers.core.model.covariance import Gaussian as Gaussian
@@ -46,13 +47,13 @@ from trackwright.trackers.core.model.sensor import Reading as Reading
 from trackwright.trackers.core.model.sensor import Residual as Residual
 from trackwright.trackers.core.model.sensor import Row as Row
 from trackwright.trackers.core.model.sensor import independent as independent
-from trackwright.trackers.core.model.start import AbstractStart as AbstractStart
 from trackwright.trackers.core.model.state import Heading as Heading
 from trackwright.trackers.core.model.tunable import Covariance as Covariance
 from trackwright.trackers.core.model.tunable import Fraction as Fraction
 from trackwright.trackers.core.model.tunable import Real as Real
 from trackwright.trackers.core.model.tunable import Scale as Scale
 from trackwright.trackers.core.model.tunable import tunables as tunables
+from trackwright.trackers.core.programs import cache_programs as cache_programs
 from trackwright.trackers.core.run.smoother import Smoothed as Smoothed
 from trackwright.trackers.core.run.tracker import AbstractTracker as AbstractTracker
 from trackwright.trackers.core.run.tracker import Tracker as Tracker
@@ -63,7 +64,6 @@ from trackwright.trackers.evaluation.evaluate import evaluate as evaluate
 from trackwright.trackers.linear import linear as linear
 from trackwright.trackers.linear import nonlinear as nonlinear
 from trackwright.trackers.linear import series as series
-from trackwright.trackers.programs.program_cache import cache_programs as cache_programs
 from trackwright.trackers.recordings.calibration import Calibration as Calibration
 from trackwright.trackers.recordings.calibration import read_calibration as read_calibration
 from trackwright.trackers.recordings.calibration import write_calibration as write_calibration
@@ -80,8 +80,8 @@ from trackwright.trackers.recordings.kinds import add_kind as add_kind
 from trackwright.trackers.recordings.named_tracker import NamedTracker as NamedTracker
 from trackwright.trackers.recordings.named_tracker import TrackerSpec as TrackerSpec
 from trackwright.trackers.recordings.tracks import Tracks as Tracks
-from trackwright.trackers.recordings.trajectories import Trajectory as Trajectory
-from trackwright.trackers.recordings.trajectories import kind_trajectories as kind_trajectories
+from trackwright.trackers.recordings.tracks import Trajectory as Trajectory
+from trackwright.trackers.recordings.tracks import kind_trajectories as kind_trajectories
 from trackwright.tuning.calibrating import calibrate as calibrate
 from trackwright.tuning.fitting import FitOptions as FitOptions
 from trackwright.tuning.fitting import FitResult as FitResult

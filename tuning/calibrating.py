@@ -38,7 +38,7 @@ from trackwright.trackers.recordings.calibration import (
 from trackwright.trackers.recordings.columns import TruthStatus, independent_pieces
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
-from trackwright.trackers.recordings.trajectories import known_heights
+from trackwright.trackers.recordings.tracks import known_heights
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
 LEAST_SLOPE = 0.2

@@ -16,10 +16,10 @@ from trackwright.trackers.core.data.recording import Batch, Recording, stack
 from trackwright.trackers.core.errors import UnusableInput, require
 from trackwright.trackers.core.run.requirements import check_input
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.recordings import tracks
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_list
-from trackwright.trackers.recordings.tracks import TrackerBatch, batches
-from trackwright.trackers.recordings.trajectories import Trajectory, segments, with_floor_truth
+from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectory, batches, segments
 from trackwright.tuning.objectives import (
     AbstractObjective,
     MissingQuantityError,
@@ -133,7 +133,7 @@ def fit_data(
     floor = quantity == "direction" or batch.planar or dimensions == 2
     whole: Sequence[Trajectory] = batch.trajectories
     if floor and quantity == "position":
-        whole = [with_floor_truth(trajectory) for trajectory in whole]
+        whole = [tracks.with_floor_truth(trajectory) for trajectory in whole]
     trajectories = [segment for trajectory in whole for segment in segments(trajectory, segment_rows)]
     known = [bool(trajectory.recording.truth[quantity][1].any()) for trajectory in trajectories]
     singular = batch.planar and bool(trajectories[0].station)
@@ -176,7 +176,7 @@ def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | 
         return 2
     known = [bool(trajectory.recording.truth["position"][1].any()) for trajectory in batch.trajectories]
     lacking = [trajectory for trajectory, has in zip(batch.trajectories, known, strict=True) if not has]
-    over_floor = any(bool(with_floor_truth(trajectory).recording.truth["position"][1].any()) for trajectory in lacking)
+    over_floor = any(tracks.with_floor_truth(one).recording.truth["position"][1].any() for one in lacking)
     return 3 if any(known) and not over_floor else 2
 
 

@@ -16,7 +16,7 @@ from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.recordings.tracks import Trajectory
 from trackwright.tuning.checkpoint import from_arrays
 from trackwright.tuning.data import Arrays, FitData, fit_arrays
 from trackwright.tuning.fit_warnings import Issue, finished_cautions, identifiability_issues

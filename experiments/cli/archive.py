@@ -31,7 +31,7 @@ from trackwright.experiments.text.tables import archive_text, terminal_width, to
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import fitting, run_file_of, spec_of
 from trackwright.trackers.core.errors import counted, one_line
-from trackwright.trackers.core.user_file import split_name
+from trackwright.trackers.core.on_demand import split_name
 from trackwright.trackers.recordings.files import Content, atomic_write, config_hash, json_text, write_whole
 from trackwright.trackers.recordings.folder import content_of
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig

@@ -31,7 +31,7 @@ def write_manifest(out: Path, **about: Any) -> None:
 
 def keep_programs() -> None:
     """Keeps compiled programs for later commands; a notice where that is impossible."""
-    from trackwright.trackers.programs.traced_programs import keep_programs
+    from trackwright.trackers.core.programs import keep_programs
 
     keep_programs(lambda line: notices([line]))
 

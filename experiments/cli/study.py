@@ -34,8 +34,8 @@ def study(
     from trackwright.experiments.monte_carlo.sources import available_studies, load_study
     from trackwright.experiments.pages import study as pages
     from trackwright.experiments.pages.report import write_page
+    from trackwright.experiments.text.tables import figures_drawn
     from trackwright.experiments.text.terminal import stages
-    from trackwright.experiments.text.wording import figures_drawn
     from trackwright.trackers.recordings.files import write_whole
 
     if not what:

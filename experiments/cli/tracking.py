@@ -15,14 +15,13 @@ from trackwright.experiments.cli.options import TrackOptions
 from trackwright.experiments.pages.report import typed
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
 from trackwright.experiments.pages.track import PAGE, run_data, write_track_page
-from trackwright.experiments.text.tables import terminal_width, to_json, to_text
+from trackwright.experiments.text.tables import figures_drawn, terminal_width, to_json, to_text, uncapitalised
 from trackwright.experiments.text.terminal import Begin, notice
-from trackwright.experiments.text.wording import figures_drawn, uncapitalised
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import counted
+from trackwright.trackers.core.programs import give_back
 from trackwright.trackers.evaluation.evaluate import truths_of, with_truth
 from trackwright.trackers.evaluation.rows import refuse_without_overlap
-from trackwright.trackers.programs.program_cache import give_back
 from trackwright.trackers.recordings.files import Content, write_whole
 from trackwright.trackers.recordings.tracks_table import EVALUATION, RESULTS, SOURCES, TRACKS, sources_text
 

@@ -23,7 +23,7 @@ from typing import Any
 
 from trackwright.experiments.text.terminal import notice
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.programs.program_cache import keep
+from trackwright.trackers.core.programs import keep
 
 # jax and the modules that import it are imported in functions: in a worker after the XLA flags are set.
 

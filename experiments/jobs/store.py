@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from trackwright.experiments.jobs.executors import AT_ONCE
-from trackwright.trackers.programs.program_cache import give_back
+from trackwright.trackers.core.programs import give_back
 from trackwright.trackers.recordings.files import Content, write_whole
 
 WAKE_S = 0.25

@@ -28,8 +28,7 @@ from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.evaluation.bounds import posterior_bound
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks import TrackerBatch, rounded
-from trackwright.trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectories, rounded
 
 BOUNDED = 256
 """Largest number of trajectories over which the information of a Cramér–Rao bound is averaged."""

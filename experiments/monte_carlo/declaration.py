@@ -14,7 +14,7 @@ import numpy as np
 
 from trackwright.experiments.monte_carlo.tracked import TrackedRuns
 from trackwright.experiments.text.expectations import Claim
-from trackwright.experiments.text.wording import STUDIES
+from trackwright.experiments.text.tables import STUDIES
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import UnusableInput, near
 from trackwright.trackers.evaluation.metrics import METRICS

@@ -32,12 +32,11 @@ from trackwright.trackers.core.model.rig import Station, angles_in_array
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import with_values
+from trackwright.trackers.core.programs import Program, compiled_program, kept_program, types_of
 from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.programs.traced_programs import Program, compiled_program, kept_program, types_of
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks import TrackerBatch
-from trackwright.trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectories
 
 SEEN = 0.7
 """Share of the readings that are there in the third of the trajectories that are compared."""

@@ -25,7 +25,7 @@ from trackwright.experiments.monte_carlo.declaration import Study, TrackerConfig
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.sources import load_study
 from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.programs.program_cache import keep
+from trackwright.trackers.core.programs import keep
 from trackwright.trackers.recordings.files import config_hash, file_bytes, json_text, read_arrays, write_whole
 
 IDENTITY, CHUNKS = "study.json", "chunks"

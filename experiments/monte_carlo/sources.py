@@ -15,7 +15,7 @@ from pydantic import StrictBool, StrictFloat, StrictInt, StrictStr
 from trackwright.experiments.monte_carlo.declaration import DEFAULT_METRICS, Study, TrackerConfig, World, checked
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.core.errors import UnusableInput, listed, near
-from trackwright.trackers.core.user_file import from_file
+from trackwright.trackers.core.on_demand import from_file
 from trackwright.trackers.recordings.files import read_model
 
 PAPERS = "trackwright.experiments.lab.papers"  # in whose folders studies are looked for by name

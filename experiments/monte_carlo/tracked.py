@@ -12,8 +12,7 @@ from trackwright.trackers.core.data.estimates import Estimates, Status, is_usabl
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.columns import TruthStatus
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks import angles
-from trackwright.trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.recordings.tracks import Trajectories, angles
 
 
 class TrackedRuns(NamedTuple):

@@ -11,8 +11,7 @@ import numpy as np
 from trackwright.experiments.pages.chart import BLACK, BLUE, GREY, PALE, Chart, Line, path
 from trackwright.experiments.pages.charts import ellipses, plan
 from trackwright.experiments.pages.report import report_page, typed, write_page
-from trackwright.experiments.text.tables import Section
-from trackwright.experiments.text.wording import MISSING, fixed
+from trackwright.experiments.text.tables import MISSING, Section, fixed
 from trackwright.trackers.core.errors import UnusableInput, counted, listed
 from trackwright.trackers.recordings.calibration import (
     ANGLE_PRIOR,

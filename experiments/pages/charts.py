@@ -23,10 +23,9 @@ from trackwright.experiments.pages.chart import (
     write_charts,
 )
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks, drawn_of
-from trackwright.experiments.text.wording import SHOWN, length_unit
+from trackwright.experiments.text.tables import SHOWN, length_unit
 from trackwright.trackers.core.data.consistency import chi_square_probability, chi_square_quantile, nis_band
-from trackwright.trackers.core.data.seconds import time_label
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, time_label
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.rows import covariances, main_size
 from trackwright.trackers.recordings.columns import TagRows, float_column

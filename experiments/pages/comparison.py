@@ -17,14 +17,17 @@ from trackwright.experiments.pages.chart import Chart
 from trackwright.experiments.pages.charts import coverage, error_cdf
 from trackwright.experiments.pages.report import report_page, typed, write_page
 from trackwright.experiments.text.expectations import Value, with_interval
-from trackwright.experiments.text.tables import COLUMNS, Section, cells, title_of
-from trackwright.experiments.text.wording import (
+from trackwright.experiments.text.tables import (
+    COLUMNS,
     MISSING,
     SHOWN,
+    Section,
     Unit,
+    cells,
     heading,
     length_unit,
     shown_metric,
+    title_of,
     unit_of,
     yes_no,
 )

@@ -14,7 +14,7 @@ import polars as pl
 from trackwright.trackers.core.data.consistency import student_t_dof_of
 from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Recording
-from trackwright.trackers.core.data.seconds import zero_of
+from trackwright.trackers.core.errors import zero_of
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import rows_of, truths_of
 from trackwright.trackers.evaluation.rows import ANGLES, AXES, in_plane, main_size, scored_rows, wrapped

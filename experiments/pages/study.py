@@ -21,8 +21,7 @@ from trackwright.experiments.text.expectations import (
     ratio_text,
     with_interval,
 )
-from trackwright.experiments.text.tables import Section, aligned, sections_text
-from trackwright.experiments.text.wording import Unit, heading, units_of, yes_no
+from trackwright.experiments.text.tables import Section, Unit, aligned, heading, sections_text, units_of, yes_no
 from trackwright.trackers.recordings.files import json_text
 
 REPORT = "report.html"

@@ -15,10 +15,9 @@ from trackwright.experiments.pages.chart import numbers
 from trackwright.experiments.pages.charts import coverage, error_cdf, residuals
 from trackwright.experiments.pages.report import page, write_page
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks
-from trackwright.experiments.text.tables import Section, cells, title_of
-from trackwright.experiments.text.wording import length_unit, shown_metric
+from trackwright.experiments.text.tables import Section, cells, length_unit, shown_metric, title_of
 from trackwright.trackers.core.data.consistency import nis_quantile
-from trackwright.trackers.core.data.seconds import time_label
+from trackwright.trackers.core.errors import time_label
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.metrics import METRICS

@@ -13,8 +13,7 @@ from markupsafe import Markup
 from trackwright.experiments.pages.chart import BLUE, LINES, PALE, VERMILION, Chart, Line, band, is_logarithmic
 from trackwright.experiments.pages.comparison import comparison
 from trackwright.experiments.pages.report import report_page
-from trackwright.experiments.text.tables import Section, sections_text
-from trackwright.experiments.text.wording import MISSING, number, yes_no
+from trackwright.experiments.text.tables import MISSING, Section, number, sections_text, yes_no
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.errors import counted, listed
 from trackwright.trackers.evaluation.comparison import Difference, paired_means
@@ -22,7 +21,7 @@ from trackwright.trackers.evaluation.evaluate import Evaluation, covariance_stat
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.recordings.tracks import Trajectory
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fit_warnings import Issue
 from trackwright.tuning.fitting import FitResult

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
-from trackwright.experiments.text.wording import NO_UNIT, Unit, rounded
+from trackwright.experiments.text.tables import NO_UNIT, Unit, rounded
 from trackwright.trackers.core.errors import counted
 
 

@@ -12,7 +12,7 @@ from jax.scipy.special import ndtr
 from tests.known_start import NEVER_LOST
 from trackwright.trackers.baselines.floor import Walls
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
-from trackwright.trackers.core.filters.filter import Innovation
+from trackwright.trackers.core.filters.filter import AbstractStart, Innovation
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
 from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian
@@ -20,7 +20,6 @@ from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.motion import AbstractMotion, ConstantPosition, Noise, Placed
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Row
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import State
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker

@@ -14,11 +14,11 @@ import trackwright as tw
 from trackwright.trackers.baselines.switching import mirror_tracker
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.filters.ekf import Gaussian
+from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.filters.imm import Mixture
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.motion import AbstractMotion, ConstantVelocity, Kinematic
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import Rotation
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.tracker import Tracker

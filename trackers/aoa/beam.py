@@ -17,13 +17,13 @@ from trackwright.trackers.aoa.beamformer import Grid, direction
 from trackwright.trackers.aoa.phases import InPlanePhases, PlanePhases, require_array
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Batch
+from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.motion import AbstractMotion, Noise, process_noise
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.model.sensor import Channel, Row
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.state import Heading
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.requirements import Layout

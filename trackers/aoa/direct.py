@@ -13,13 +13,13 @@ from trackwright.trackers.aoa.beamformer import Grid, direction
 from trackwright.trackers.aoa.fusion import region_centre
 from trackwright.trackers.aoa.phases import SphericalPhases, require_arrays
 from trackwright.trackers.aoa.rays import nearest_to_rays, unit_vector
+from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.model.algebra import Scalar, product, total
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import HEIGHT, Input
 from trackwright.trackers.core.model.motion import ConstantVelocity, Noise
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.core.model.sensor import Row
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker

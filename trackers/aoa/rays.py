@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers.core.data.seconds import first_not_before
 from trackwright.trackers.core.model.algebra import Scalar, product
 from trackwright.trackers.core.model.inputs import AnyArray
+from trackwright.trackers.recordings.columns import first_not_before
 
 MIN_INFORMATION = 0.02
 """Smallest eigenvalue of the information matrix, per ray (0 … ⅔), at which a point is determined."""

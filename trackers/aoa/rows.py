@@ -21,7 +21,7 @@ from trackwright.trackers.recordings.calibration import floor_grid
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import (
+from trackwright.trackers.recordings.tracks import (
     Trajectories,
     Trajectory,
     known_height,

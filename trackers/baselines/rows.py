@@ -16,7 +16,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.parts.fixes import FIXES, fix_trajectories, lacks_fixes
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory
+from trackwright.trackers.recordings.tracks import Trajectories, Trajectory
 
 # The trackers beside fix-kf, which most recordings get, are imported where one is built.
 if TYPE_CHECKING:

@@ -22,6 +22,7 @@ import numpy as np
 
 from trackwright.trackers.core.errors import require
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
+from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.filters.imm import (
     AbstractInteractingModels,
     AbstractSwitching,
@@ -35,7 +36,6 @@ from trackwright.trackers.core.model.inputs import HEIGHT, Input, Inputs
 from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.motion import GroundMotion, Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Row
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.tunable import Considered, Real, Scale
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart

@@ -21,7 +21,7 @@ from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, batch_estimate
 from trackwright.trackers.core.run.requirements import check_input
 from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.tracker import AbstractTracker, filter_batch
-from trackwright.trackers.recordings.trajectories import cut
+from trackwright.trackers.recordings.tracks import cut
 
 ROWS, FEWEST, MOST = 64, 6, 8  # rows and numbers of recordings: batches of 5 to 8 have one program
 CUTS = 3  # of a recording that is run in pieces

@@ -1,4 +1,4 @@
-"""The error for unusable input, and numbers, counts and names as messages write them."""
+"""The error for unusable input; numbers and times that users hold; these, counts and names as messages write them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import difflib
 import math
 import unicodedata
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from decimal import Decimal
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -17,6 +18,9 @@ T = TypeVar("T")
 
 LONGEST = 3000
 """Longest message, characters; the middle of a longer one, which quotes an input, is left out."""
+
+UNIX_S, UNIX_MS = 1e8, 1e11
+"""Times from `UNIX_S` on count from 1970, in s below `UNIX_MS`: no recording lasts the three years before."""
 
 
 class UnusableInput(ValueError):  # noqa: N818 - a fault of the input, not of the program
@@ -108,3 +112,52 @@ def numbered_names(names: Sequence[str]) -> list[str]:
         return list(names)
     first = {name: k for k, name in reversed([*enumerate(names)])}
     return [name if first[name] == k else f"{name} {k + 1}" for k, name in enumerate(names)]
+
+
+def seconds(times: Any) -> np.ndarray:
+    """Numbers as they are, time stamps as seconds since 1970 (UTC where they have a time zone), durations as seconds.
+
+    Raises UnusableInput for a missing time stamp, and for one of months or years.
+    """
+    import numpy as np
+
+    values = np.asarray(times)
+    if values.dtype == object and values.size and hasattr(values.flat[0], "timestamp"):
+        # Time stamps with a time zone.
+        values = np.array([np.nan if stamp is None or stamp != stamp else stamp.timestamp() for stamp in values.flat])
+    elif values.dtype.kind in "mM":
+        unit, _ = np.datetime_data(values.dtype)
+        if unit in ("generic", "Y", "M"):
+            raise UnusableInput(f"times of type {values.dtype}; expected seconds, or time stamps of days or finer")
+        # Whole seconds and fractions separately: nanoseconds since 1970 have more digits than a float.
+        missing = np.isnat(values)
+        fine = values.astype(f"{'datetime64' if values.dtype.kind == 'M' else 'timedelta64'}[ns]").astype(np.int64)
+        values = np.where(missing, np.nan, fine // 10**9 + (fine % 10**9) / 1e9)
+    else:
+        return np.asarray(values, np.float64)
+    if np.isnan(values).any():
+        raise UnusableInput(f"times[{int(np.argmax(np.isnan(values)))}] is missing (NaT); leave the row out")
+    return values
+
+
+def zero_of(first: float) -> float:
+    """The zero, s, of the displayed times of a recording that begins at `first`: `first` if that counts from 1970."""
+    return float(first) if UNIX_S <= first < math.inf else 0.0
+
+
+def moment(time: float) -> str:
+    """A time, s, for messages: the date and time of day, UTC, where it counts from 1970, else seconds."""
+    if not UNIX_S <= time < UNIX_MS:
+        return f"{round(float(time), 6):.12g} s"  # times since 1970 have steps of 0.24 µs
+    text = datetime.fromtimestamp(round(float(time), 3), UTC).strftime("%Y-%m-%d %H:%M:%S.%f")
+    return text.rstrip("0").rstrip(".") + " UTC"
+
+
+def span(first: float, last: float) -> str:
+    """The time from `first` to `last`, s, for messages, each as a `moment`."""
+    return f"{moment(first).removesuffix(' s')} to {moment(last)}"
+
+
+def time_label(zero: float) -> str:
+    """The label of an axis of times, s, after `zero`; with the date where times count from 1970."""
+    return f"time (s) since {moment(zero)}" if zero else "time (s)"

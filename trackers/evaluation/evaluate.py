@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.frames import evaluation_html, evaluation_text
+from trackwright.trackers.core.data.frames import html_table, text_lines
 from trackwright.trackers.core.errors import (
     UnusableInput,
     counted,
@@ -41,6 +41,9 @@ Metrics = dict[str, Any]  # by name; in lists by recording and by track also `re
 LEAST_SAMPLES, LOST = 8.0, 0.1
 """Effective samples below which a recording is too short for a verdict; the share of rows that are lost or have no
 covariance beyond which covariances are not judged."""
+
+MOST_ROWS = 12
+"""Rows of the table of an evaluation that a terminal shows."""
 
 HOLD, SHORT, SMALL, LARGE = "hold", "too short", "too small", "too large"
 
@@ -76,7 +79,24 @@ class Evaluation:
         """A table with one row per track and one column per metric."""
         return pl.DataFrame(self.tracks, infer_schema_length=None)
 
-    _repr_html_, __str__, __repr__ = evaluation_html, evaluation_text, evaluation_text
+    def _repr_html_(self) -> str:
+        return html_table(" ".join(self.statements), *self._main_metrics())
+
+    def __repr__(self) -> str:
+        head, rows = self._main_metrics()
+        cells = [[f"{x:.4g}" if isinstance(x, float) else str(x) for x in row] for row in rows[:MOST_ROWS]]
+        lines = text_lines([list(head), *cells], "<<" + ">" * (len(head) - 2))
+        more = [f"… {len(rows) - MOST_ROWS} more"] if len(rows) > MOST_ROWS else []
+        return "\n".join([*lines, *more, *self.statements])
+
+    def _main_metrics(self) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
+        """The names of the columns, and the rows: overall, of each recording and of each track."""
+        first = "rmse_direction_rad" if self.bearing else "rmse_m"
+        shown = ("n", first, first.replace("rmse", "p95"), first.replace("rmse", "max"), "coverage_95", "nees_ratio")
+        lines = [(("overall", ""), self.overall)]
+        lines += [((m["recording"], "all"), m) for m in self.recordings]
+        lines += [((m["recording"], m["tag"]), m) for m in self.tracks]
+        return ("recording", "tag", *shown), [(*names, *(metrics[name] for name in shown)) for names, metrics in lines]
 
 
 def evaluate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> Evaluation:

@@ -10,8 +10,7 @@ import polars as pl
 from jaxtyping import Float
 
 from trackwright.trackers.core.data.consistency import eliminated, upper_entries
-from trackwright.trackers.core.data.seconds import span
-from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.errors import UnusableInput, listed, span
 from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.recordings.columns import TruePaths, TruthStatus, float_column, require_columns
 from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, track_keys

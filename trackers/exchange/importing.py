@@ -20,7 +20,7 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed, near, require
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.core.user_file import fault_of, from_file, split_name
+from trackwright.trackers.core.on_demand import fault_of, from_file, split_name
 from trackwright.trackers.exchange.mapping import ORIGIN, Source, TableMapping, read_mapping
 from trackwright.trackers.exchange.text_tables import Reading, columns_of, parsed, read_rows, sensor_of
 from trackwright.trackers.exchange.trajectories import Similarity, read_tum

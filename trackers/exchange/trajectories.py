@@ -13,8 +13,7 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
-from trackwright.trackers.core.data.seconds import span
-from trackwright.trackers.core.errors import UnusableInput, counted, listed, require
+from trackwright.trackers.core.errors import UnusableInput, counted, listed, require, span
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import Evaluation, evaluate
 from trackwright.trackers.evaluation.rows import AXES

@@ -21,7 +21,7 @@ from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.start_nearby import NEARBY
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_heights, trajectories_of
+from trackwright.trackers.recordings.tracks import Trajectories, Trajectory, known_heights, trajectories_of
 from trackwright.trackers.uwb_imu import difference_rows
 from trackwright.trackers.uwb_imu import rows as range_rows
 from trackwright.trackers.uwb_imu.fusion import TDOA

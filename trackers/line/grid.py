@@ -18,8 +18,7 @@ from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
 from trackwright.trackers.core.filters.particle.filter import particle_residuals, weighted_moments, weighted_nis
 from trackwright.trackers.core.model.algebra import Scalar, compute_once, total
 from trackwright.trackers.core.model.covariance import Gaussian
-from trackwright.trackers.core.model.inputs import AnyArray, Inputs
-from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.inputs import AnyArray, Inputs, RawKey
 from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.polyline import Polyline

@@ -19,7 +19,7 @@ from trackwright.trackers.parts.fixes import AXES_M, AXES_STD_M, FIXES
 from trackwright.trackers.parts.ranges import RANGES, RangeSensor, range_trajectories
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import (
+from trackwright.trackers.recordings.tracks import (
     Trajectories,
     Trajectory,
     known_height,

@@ -12,7 +12,7 @@ import numpy as np
 from jax.scipy.special import logsumexp
 
 from trackwright.trackers.core.errors import require
-from trackwright.trackers.core.filters.filter import Innovation
+from trackwright.trackers.core.filters.filter import AbstractStart, Innovation
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.algebra import Scalar, diagonal, total
 from trackwright.trackers.core.model.covariance import Gaussian
@@ -20,7 +20,6 @@ from trackwright.trackers.core.model.inputs import Inputs
 from trackwright.trackers.core.model.motion import Noise, as_scale
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.sensor import AbstractSensor, Channel, Reading, Residual, Row, independent
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.tunable import Scale, Threshold
 from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
 from trackwright.trackers.core.run.tracker import Tracker

@@ -24,8 +24,7 @@ from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
 from trackwright.trackers.core.model.algebra import Scalar, Vector, product
 from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian
-from trackwright.trackers.core.model.inputs import Inputs
-from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.inputs import Inputs, RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion, Kinematic, Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.tunable import Scale

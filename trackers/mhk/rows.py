@@ -12,7 +12,7 @@ from trackwright.trackers.mhk.tracker import mhk_tracker
 from trackwright.trackers.parts.fixes import FIXES, fix_trajectories, lacks_fixes
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.recordings.tracks import Trajectories
 
 
 def spatial_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:

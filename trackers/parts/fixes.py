@@ -14,12 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.data.recording import Readings
+from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal, total
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import HEIGHT, Input, Inputs
 from trackwright.trackers.core.model.motion import Accelerated, Kinematic, Noise
 from trackwright.trackers.core.model.sensor import (
     LOG_2PI,
+    AbstractDelayedSensor,
     AbstractSensor,
     Channel,
     Reading,
@@ -28,13 +30,11 @@ from trackwright.trackers.core.model.sensor import (
     position_in_space,
     student_t_log_peak,
 )
-from trackwright.trackers.core.model.start import AbstractStart
 from trackwright.trackers.core.model.tunable import Considered, Covariance, Real, Scale
-from trackwright.trackers.core.run.latency import AbstractDelayedSensor
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy, TrackScorePolicy
 from trackwright.trackers.recordings.checks.rules import without_height
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
+from trackwright.trackers.recordings.tracks import Trajectories, known_heights, trajectories_of
 
 FIXES = "fixes"
 

@@ -35,7 +35,7 @@ from trackwright.trackers.parts.multilaterate import recent_positions
 from trackwright.trackers.parts.start_nearby import NEARBY
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
+from trackwright.trackers.recordings.tracks import Trajectories, known_heights, trajectories_of
 
 RANGES = "ranges"
 

@@ -8,12 +8,12 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
+from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
 from trackwright.trackers.core.model.covariance import Gaussian
 from trackwright.trackers.core.model.inputs import Input
 from trackwright.trackers.core.model.motion import Kinematic, Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor, Row
-from trackwright.trackers.core.model.start import AbstractStart
 
 NEARBY = Input(
     "nearby",

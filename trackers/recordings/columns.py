@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S, first_not_before
+from trackwright.trackers.core.data import HOLE_M, HOLE_S
 from trackwright.trackers.core.errors import UnusableInput
 
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -214,3 +214,15 @@ def independent_pieces(times: np.ndarray, positions: np.ndarray, starts: np.ndar
             begins.append(time)
             last = (time, gone)
     return np.searchsorted(np.array(begins), times, side="right")
+
+
+def first_not_before(times: np.ndarray, low: np.ndarray, high: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The first index in `low` … `high` (N,) of a time that is not before `wanted` (N,); `high` where all are before.
+
+    `times` (n,): sorted between each pair of `low` and `high`.
+    """
+    for _ in range(int((high - low).max(initial=0)).bit_length()):
+        middle = (low + high) // 2
+        earlier = times[middle] < wanted
+        low, high = np.where(earlier & (low < high), middle + 1, low), np.where(earlier, high, middle)
+    return high

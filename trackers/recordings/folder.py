@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.seconds import UNIX_S, seconds
-from trackwright.trackers.core.errors import UnusableInput, has_control, listed
+from trackwright.trackers.core.errors import UNIX_S, UnusableInput, has_control, listed, seconds
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.checks.rules import check_rows
 from trackwright.trackers.recordings.columns import TagRows, TruePaths

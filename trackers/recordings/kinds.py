@@ -18,8 +18,7 @@ import numpy as np
 import polars as pl
 from jaxtyping import Bool, Float, Int
 
-from trackwright.trackers.core.data.seconds import seconds
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, seconds
 from trackwright.trackers.core.model.rig import Point, Rig, angles_in_array
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows, stable_order, within_groups
 

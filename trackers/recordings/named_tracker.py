@@ -21,13 +21,12 @@ import polars as pl
 from trackwright.trackers.core.errors import UnusableInput, one_or_more
 from trackwright.trackers.core.model.rig import ELSEWHERE_M, Rig
 from trackwright.trackers.core.model.tunable import AbstractTunable, tunables, with_values
+from trackwright.trackers.core.on_demand import fault_of
 from trackwright.trackers.core.run.requirements import check_input
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.core.user_file import fault_of
 from trackwright.trackers.recordings.folder import FOLDERS, RecordingFolder, refuse_same_names
 from trackwright.trackers.recordings.kinds import KINDS, MANY_REPEATS, Streams, distinct, std_column, table_kinds
-from trackwright.trackers.recordings.tracks import TrackerBatch, Tracks, track
-from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_height
+from trackwright.trackers.recordings.tracks import TrackerBatch, Tracks, Trajectories, Trajectory, known_height, track
 
 Recordings = RecordingFolder | Sequence[RecordingFolder]
 Key = tuple[bool, Hashable]  # whether a batch is planar, and the installation built into its tracker

@@ -24,7 +24,7 @@ from trackwright.trackers.parts.ranges import (
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import (
+from trackwright.trackers.recordings.tracks import (
     Trajectories,
     Trajectory,
     known_height,

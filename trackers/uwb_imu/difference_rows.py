@@ -17,7 +17,7 @@ from trackwright.trackers.parts.ranges import anchor_positions, lacks_anchors, r
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import Trajectories, Trajectory, known_heights, trajectories_of
+from trackwright.trackers.recordings.tracks import Trajectories, Trajectory, known_heights, trajectories_of
 from trackwright.trackers.uwb_imu.fusion import TDOA, difference_tracker
 from trackwright.trackers.uwb_imu.hyperbolic import Differences, hyperbolic_positions
 from trackwright.trackers.uwb_imu.rows import bias_slots

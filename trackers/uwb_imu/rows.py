@@ -13,7 +13,7 @@ from trackwright.trackers.parts.ranges import anchor_positions, lacks_anchors, r
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.recordings.tracks import Trajectory
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 
 MAX_RANGE_RATIO = 20.0

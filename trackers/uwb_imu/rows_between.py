@@ -16,7 +16,7 @@ from trackwright.trackers.parts.ranges import room_of_anchors
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS
-from trackwright.trackers.recordings.trajectories import Trajectories, known_height, trajectories_of
+from trackwright.trackers.recordings.tracks import Trajectories, known_height, trajectories_of
 
 
 class RowsBetween(NamedTuple):

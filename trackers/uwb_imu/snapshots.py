@@ -14,7 +14,7 @@ from trackwright.trackers.parts.multilaterate import latest_rows
 from trackwright.trackers.parts.ranges import RANGES, anchor_positions, range_rows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
-from trackwright.trackers.recordings.trajectories import Trajectories, known_height, known_heights, trajectories_of
+from trackwright.trackers.recordings.tracks import Trajectories, known_height, known_heights, trajectories_of
 from trackwright.trackers.uwb_imu.rows import anchors_of, lacks_ranges
 from trackwright.trackers.uwb_imu.trilateration import multilateration_tracker, trilateration_tracker
 

@@ -13,8 +13,7 @@ from trackwright.trackers.core.filters.ekf import ExtendedKalman
 from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
 from trackwright.trackers.core.model.algebra import Scalar, total
 from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, matched
-from trackwright.trackers.core.model.inputs import AnyArray, Inputs
-from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.inputs import AnyArray, Inputs, RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.state import Heading, Rotation, State, local, retract

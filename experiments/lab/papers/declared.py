@@ -11,7 +11,7 @@ import trackwright.experiments.monte_carlo as mc
 from trackwright.trackers.baselines.fixes import MovingWindow
 from trackwright.trackers.catalogue import spec_of
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.recordings.tracks import Trajectory
 
 UNITS = {"cm": 100.0, "mm": 1e3, "cm²": 1e4, "deg": 180 / np.pi, "%": 100.0}
 """Factors from SI units and from fractions."""

@@ -18,9 +18,8 @@ from trackwright.experiments.lab.runner import new_interpreter
 from trackwright.experiments.monte_carlo import Value
 from trackwright.experiments.monte_carlo.sources import available_studies, load_study
 from trackwright.experiments.text.expectations import headline, ratio_text, with_interval
-from trackwright.experiments.text.tables import markdown, replace_tables
+from trackwright.experiments.text.tables import Unit, markdown, replace_tables
 from trackwright.experiments.text.terminal import notice, progress
-from trackwright.experiments.text.wording import Unit
 
 LIMIT_S = 1800.0
 MODULE = "trackwright.experiments.lab.papers.reproduce"

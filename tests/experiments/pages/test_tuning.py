@@ -17,7 +17,7 @@ from trackwright.experiments.pages.tuning import (
     tuned_parameters,
     tuning_page,
 )
-from trackwright.experiments.text.wording import number
+from trackwright.experiments.text.tables import number
 from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.evaluation.comparison import Difference
 from trackwright.tuning.data import fit_data

@@ -3,7 +3,7 @@
 import pytest
 
 from trackwright.experiments.text.expectations import PREDICTED, ExpectedResult, Value
-from trackwright.experiments.text.wording import Unit
+from trackwright.experiments.text.tables import Unit
 
 MM = Unit("mm", 1.0)
 

@@ -10,7 +10,7 @@ import pytest
 from trackwright.sim.worlds import WORLDS
 from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.core.data.recording import stack
-from trackwright.trackers.recordings.trajectories import Trajectories
+from trackwright.trackers.recordings.tracks import Trajectories
 
 CASES = [
     *(("station", name) for name in ("direct", "beam")),

@@ -6,7 +6,7 @@ import pytest
 from tests.faulty import write_good
 from trackwright.trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
-from trackwright.trackers.recordings.trajectories import segments
+from trackwright.trackers.recordings.tracks import segments
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S
+from trackwright.trackers.core.data import HOLE_M, HOLE_S
 from trackwright.trackers.recordings.columns import TruePaths, TruthStatus
 from trackwright.trackers.recordings.tables import unwrapped_times
 

@@ -104,10 +104,9 @@ def student_t_dof_of(sensors: Sequence[AbstractSensor]) -> Scalar | None:
 
     Raises ValueError for several sensors with Student's t among them: their sum has no known distribution.
     """
-    by_sensor = [_student_t_dof(sensor) for sensor in sensors]
-    dofs = [dof for dof in by_sensor if dof is not None]
-    if dofs and len(by_sensor) > 1:
-        these = f"{len(by_sensor)} sensors, {len(dofs)} of them with Student's t"
+    dofs = [dof for dof in map(_student_t_dof, sensors) if dof is not None]
+    if dofs and len(sensors) > 1:
+        these = f"{len(sensors)} sensors, {len(dofs)} of them with Student's t"
         raise ValueError(f"the NIS of {these}, has no known distribution; expected one sensor, or normal noise")
     return dofs[0] if dofs else None
 

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 import polars as pl
-from jaxtyping import Bool, Float, Int, Num, Shaped
+from jaxtyping import Bool, Float, Int, Num
 
 from trackwright.trackers.core.data.frames import estimates_html, to_pandas
 from trackwright.trackers.core.errors import UnusableInput, numbered_names
@@ -42,6 +42,9 @@ STATUS_WORDS = {
     Status.LOST: "lost",
     Status.NON_FINITE: "non-finite",
 }
+
+ROWS = ("log_likelihood", "nis", "nis_dof", "wrapped", "status", "times", "age")
+"""The attributes of `Estimates` with a number for each row."""
 
 STEP_COLUMNS = ("nis", "nis_dof", "log_likelihood")
 """Columns of tables of estimates: attributes of `Estimates`, summed over the rows of a time."""
@@ -128,20 +131,11 @@ class Estimates:
         """The same part of every array over trajectories and rows."""
 
         def part(rows: Any) -> Any:
-            return rows[index]
+            return None if rows is None else rows[index]
 
-        return replace(
-            self,
-            mean=jax.tree_util.tree_map(part, self.mean),
-            cov_upper=self.cov_upper[(slice(None), *index)],
-            log_likelihood=part(self.log_likelihood),
-            nis=part(self.nis),
-            nis_dof=part(self.nis_dof),
-            wrapped=part(self.wrapped),
-            status=part(self.status),
-            age=None if self.age is None else part(self.age),
-            times=None if self.times is None else part(self.times),
-        )
+        rows = {name: part(getattr(self, name)) for name in ROWS}
+        mean, cov_upper = jax.tree_util.tree_map(part, self.mean), self.cov_upper[(slice(None), *index)]
+        return replace(self, mean=mean, cov_upper=cov_upper, **rows)
 
     def __repr__(self) -> str:
         shape = " x ".join(
@@ -179,21 +173,18 @@ class Estimates:
         estimates' times and ages.
         """
         last = self.last_rows(times)
-        mean = jax.tree_util.tree_map(lambda x: _chosen(np.asarray(x), last), self.mean)
-        cov = np.asarray(self.cov_upper)
-        cov = cov.reshape(-1, last.size) if last.all() else np.stack([entry[last] for entry in cov])
-        return last, replace(self, mean=mean, cov_upper=cov, **self._steps_per_time(last))
+        mean = jax.tree_util.tree_map(lambda x: np.asarray(x)[last], self.mean)
+        cov_upper = np.asarray(self.cov_upper)[:, last]
+        return last, replace(self, mean=mean, cov_upper=cov_upper, **self._steps_per_time(last))
 
     def _steps_per_time(self, last: Bool[np.ndarray, "*rows"]) -> dict[str, Any]:
         """What `per_time` gives of each time but the state; `last`: see `last_rows`."""
         rows = self.status != Status.PADDING
-        row_each = np.array_equal(rows, last)
         first = np.flatnonzero(np.append(True, last[rows])[:-1])
         counted = np.isfinite(self.nis)
 
         def summed(values: np.ndarray) -> np.ndarray:
-            each = _chosen(values, rows).astype(float)
-            return each if row_each else np.add.reduceat(each, first)
+            return np.add.reduceat(values[rows].astype(float), first)
 
         return {
             "log_likelihood": summed(self.log_likelihood),
@@ -215,16 +206,12 @@ class Estimates:
         ends = np.ones_like(rows)
         # (t − age) + age is t up to rounding.
         steps, later = np.diff(times), ~rows[..., 1:]
-        # The spacing of the largest number first: computing each spacing takes longer than the rest.
-        if times.size and not ((steps > 2 * np.spacing(np.nanmax(np.abs(times)))) | later).all():
-            ends[..., :-1] = (steps > 2 * np.spacing(np.abs(times[..., 1:]))) | later
+        ends[..., :-1] = (steps > 2 * np.spacing(np.abs(times[..., 1:]))) | later
         return rows & ends
 
     def status_per_time(self, last: Bool[np.ndarray, "*rows"]) -> Int[np.ndarray, " N"]:
         """The status (N,) of each time, whose `last` row (…, T) `last_rows` gives; see `per_time`."""
         rows, status = self.status != Status.PADDING, self.status[last]
-        if np.array_equal(rows, last):
-            return status
         first = np.flatnonzero(np.append(True, last[rows])[:-1])
 
         def occurs(status: Status) -> np.ndarray:
@@ -247,8 +234,7 @@ class Estimates:
         missing = ~is_usable(steps["status"])
 
         def column(values: np.ndarray) -> pl.Series:
-            numbers = _chosen(np.ascontiguousarray(values, float), last)
-            return pl.Series(np.where(missing, np.nan, numbers) if missing.any() else numbers, nan_to_null=True)
+            return pl.Series(np.where(missing, np.nan, np.asarray(values, float)[last]), nan_to_null=True)
 
         # Most entries of a large covariance have no column.
         return pl.DataFrame(
@@ -279,12 +265,6 @@ class Estimates:
         if restarts or np.any(status == Status.LOST):
             return f"lost and re-started {restarts} times" if restarts else "lost and never re-started"
         return "ok"
-
-
-def _chosen(values: Shaped[np.ndarray, "*all"], mask: Bool[np.ndarray, "*rows"]) -> Shaped[np.ndarray, "N *shape"]:
-    """The values of the N rows in the mask."""
-    # A mask takes several times as long as a copy.
-    return values.reshape(-1, *values.shape[mask.ndim :]) if mask.all() else values[mask]
 
 
 def state_columns(estimates: Estimates) -> dict[str, Num[np.ndarray, "*rows"]]:

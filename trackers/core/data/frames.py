@@ -1,4 +1,4 @@
-"""Tables for notebooks and for pandas: HTML of recordings, estimates and evaluations, and frames of pandas."""
+"""Tables for notebooks, terminals and pandas: HTML of recordings and estimates, aligned lines, frames of pandas."""
 
 from __future__ import annotations
 
@@ -13,9 +13,6 @@ from trackwright.trackers.core.errors import UnusableInput
 
 if TYPE_CHECKING:
     import pandas
-
-MOST_ROWS = 12
-"""Rows of a table that a terminal shows of an evaluation."""
 
 
 def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -41,36 +38,11 @@ def estimates_html(estimates: Any) -> str:
     return frame_html(repr(estimates), pl.DataFrame() if estimates.times is None else estimates.to_polars())
 
 
-def evaluation_html(evaluation: Any) -> str:
-    """The main metrics of an `Evaluation`: overall, of each recording and of each track."""
-    return html_table(" ".join(evaluation.statements), *_main_metrics(evaluation))
-
-
-def evaluation_text(evaluation: Any) -> str:
-    """As `evaluation_html`, in aligned columns for a terminal."""
-    head, rows = _main_metrics(evaluation)
-    cells = [[f"{x:.4g}" if isinstance(x, float) else str(x) for x in row] for row in rows[:MOST_ROWS]]
-    lines = text_lines([list(head), *cells], "<<" + ">" * (len(head) - 2))
-    more = [f"… {len(rows) - MOST_ROWS} more"] if len(rows) > MOST_ROWS else []
-    return "\n".join([*lines, *more, *evaluation.statements])
-
-
 def text_lines(cells: Sequence[Sequence[str]], sides: str) -> list[str]:
     """Rows in aligned columns; `sides`: `<` or `>` for each."""
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = ("  ".join(f"{x:{side}{n}}" for x, side, n in zip(row, sides, widths, strict=True)) for row in cells)
     return [line.rstrip() for line in lines]
-
-
-def _main_metrics(evaluation: Any) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-    """The names of the columns, and the rows."""
-    first = "rmse_direction_rad" if evaluation.bearing else "rmse_m"
-    shown = ("n", first, first.replace("rmse", "p95"), first.replace("rmse", "max"), "coverage_95", "nees_ratio")
-    lines = [(("overall", ""), evaluation.overall)]
-    lines += [((m["recording"], "all"), m) for m in evaluation.recordings]
-    lines += [((m["recording"], m["tag"]), m) for m in evaluation.tracks]
-    rows = [(*names, *(metrics[name] for name in shown)) for names, metrics in lines]
-    return ("recording", "tag", *shown), rows
 
 
 def to_pandas(table: pl.DataFrame) -> pandas.DataFrame:

@@ -16,10 +16,8 @@ from jaxtyping import Bool, DTypeLike, Float, Shaped, UInt32
 from numpy.typing import ArrayLike
 
 from trackwright.trackers.core.data.frames import recording_html
-from trackwright.trackers.core.data.seconds import seconds, span
-from trackwright.trackers.core.errors import UnusableInput
-from trackwright.trackers.core.model.inputs import AnyArray
-from trackwright.trackers.core.model.keys import trajectory_key_data
+from trackwright.trackers.core.errors import UnusableInput, seconds, span
+from trackwright.trackers.core.model.inputs import AnyArray, trajectory_key_data
 from trackwright.trackers.core.model.sensor import Reading
 
 
@@ -64,7 +62,14 @@ class Recording:
 
     def __post_init__(self) -> None:
         times = seconds(self.times)
-        check_rows(self.name, times, self.readings, self.inputs, self.truth)
+        check_times(self.name, times)
+        for name, readings in self.readings.items():
+            _check_readings(f"{self.name}: readings['{name}']", readings, len(times))
+        for name, values in self.inputs.items():
+            _check_array(f"{self.name}: inputs['{name}']", values, len(times))
+        for name, (values, known) in self.truth.items():
+            _check_array(f"{self.name}: truth['{name}']", values, len(times))
+            _check_array(f"{self.name}: truth['{name}'], where it is known,", known, len(times))
         object.__setattr__(self, "times", read_only(times))
         object.__setattr__(self, "inputs", {name: read_only(x) for name, x in self.inputs.items()})
         truth = {name: (read_only(values), read_only(known)) for name, (values, known) in self.truth.items()}
@@ -174,8 +179,8 @@ class Columns:
         """Values per recording (n, …), repeated for each of its rows (N, …)."""
         return np.repeat(values, np.diff(self.starts), axis=0)
 
-    def padded(self, rows: np.ndarray, width: int | None = None) -> np.ndarray:
-        """The values of all rows (N, …) by recording (n, width, …), NaN or zero beyond its end.
+    def padded(self, rows: np.ndarray, width: int | None = None, missing: float = np.nan) -> np.ndarray:
+        """The values of all rows (N, …) by recording (n, width, …), zero or, of floats, `missing` beyond its end.
 
         `width`: by default as many as the longest recording has.
         """
@@ -183,7 +188,8 @@ class Columns:
         width = width or int(lengths.max())
         if (lengths == width).all():
             return rows.reshape(len(self), width, *rows.shape[1:])
-        padded = np.full((len(self), width, *rows.shape[1:]), np.nan if rows.dtype.kind == "f" else 0, rows.dtype)
+        missing = missing if rows.dtype.kind == "f" else 0
+        padded = np.full((len(self), width, *rows.shape[1:]), missing, rows.dtype)
         padded[np.arange(width) < lengths[:, None]] = rows
         return padded
 
@@ -202,23 +208,16 @@ class Columns:
         rows = rows or longest
         if rows < longest:
             raise UnusableInput(f"rows = {rows} is less than the longest recording's {longest}")
-        first, equally_long = self.starts[:-1], bool(lengths.min() == longest)
-        place = None if equally_long else np.flatnonzero(np.arange(longest) < lengths[:, None])
 
         def pile(array: np.ndarray, kind: DTypeLike) -> Shaped[np.ndarray, "rows *shape B"]:
-            shape = np.shape(array)[1:]
-            if not equally_long:
-                padded = np.zeros((size * longest, *shape), kind)
-                padded[place] = array
-                array = padded
-            out = np.zeros((rows, *shape, size), kind)
-            rows_last = np.moveaxis(np.reshape(array, (size, longest, *shape)), 0, -1)
+            out = np.zeros((rows, *np.shape(array)[1:], size), kind)
+            rows_last = np.moveaxis(self.padded(np.asarray(array), missing=0), 0, -1)
             for k in range(0, size if np.any(array) else 0, 32):  # trajectories whose rows fit the cache
                 out[:longest, ..., k : k + 32] = rows_last[..., k : k + 32]
             return out
 
         dt = np.diff(self.times, prepend=self.times[:1])
-        dt[first] = 0.0
+        dt[self.starts[:-1]] = 0.0
         return Batch(
             dt=pile(dt, dtype),
             valid=np.arange(rows)[:, None] < lengths,
@@ -294,24 +293,6 @@ def stack(
     if not len(recordings):
         raise UnusableInput("stack: found no recording; expected one or more; usual fix: look at how the list is made")
     return Columns.of(recordings).batch(rows, dtype, seed)
-
-
-def check_rows(
-    name: str,
-    times: np.ndarray,
-    readings: Mapping[str, Readings],
-    inputs: Mapping[str, np.ndarray],
-    truth: Mapping[str, tuple[np.ndarray, np.ndarray]],
-) -> None:
-    """Raises UnusableInput, naming the recording, where times are unsorted, shapes differ or a number isn't finite."""
-    check_times(name, times)
-    for sensor, of_sensor in readings.items():
-        _check_readings(f"{name}: readings['{sensor}']", of_sensor, len(times))
-    for quantity, values in inputs.items():
-        _check_array(f"{name}: inputs['{quantity}']", values, len(times))
-    for quantity, (values, known) in truth.items():
-        _check_array(f"{name}: truth['{quantity}']", values, len(times))
-        _check_array(f"{name}: truth['{quantity}'], where it is known,", known, len(times))
 
 
 def check_times(name: str, times: np.ndarray) -> None:

@@ -23,7 +23,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter, Innovation
-from trackwright.trackers.core.filters.rts import RtsGain, rts_gain, rts_step
 from trackwright.trackers.core.model.algebra import (
     Jacobian,
     Scalar,
@@ -47,8 +46,7 @@ from trackwright.trackers.core.model.covariance import (
     zero_of,
     zeros,
 )
-from trackwright.trackers.core.model.inputs import Inputs
-from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.inputs import Inputs, RawKey
 from trackwright.trackers.core.model.linearise import jacobian, linearise
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
@@ -89,10 +87,9 @@ class AbstractExtendedKalman(AbstractSmoothableFilter[Gaussian]):
             cov = tuple(a if a is b else compute_once(a) for a, b in zip(grown, cov, strict=True))
         return Gaussian(compute_once(mean), cov)
 
-    def rts_gain(
-        self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
-    ) -> RtsGain:
+    def rts_gain(self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:
         """The RTS gains to the next time step, `dt` s later; `connected`: whether that step continues the track."""
+        from trackwright.trackers.core.filters.rts import rts_gain
 
         def linearised(belief: Gaussian, inputs: Inputs, dt: Scalar) -> tuple[State, list[SparseRow], list[SparseRow]]:
             at = motion.at(belief)
@@ -103,8 +100,10 @@ class AbstractExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         predicted, F, G = by_trajectory(belief, inputs, dt)
         return rts_gain(belief, predicted, F, G, connected, dt == 0)
 
-    def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
+    def rts_step(self, rts_gain: Any, after: Gaussian) -> Gaussian:
         """The smoothed beliefs of a time step, given the next one's."""
+        from trackwright.trackers.core.filters.rts import rts_step
+
         return rts_step(rts_gain, after)
 
 

@@ -1,4 +1,6 @@
-"""Filters: Bayes' rule for one trajectory and one time step; each filter has its form of belief.
+"""Starts and filters: the belief of a track, from its first row on, by Bayes' rule for one trajectory and time step.
+
+A start gives the prior. Each filter has its form of belief:
 
     init     prior -> belief                  predict  belief at a later time
     update   belief after one reading         moments  mean and covariance of a belief
@@ -9,19 +11,53 @@ A filter with an RTS recursion is an `AbstractSmoothableFilter`.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 
 from trackwright.trackers.core.model.algebra import Scalar
 from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian
-from trackwright.trackers.core.model.inputs import Input, Inputs
-from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.inputs import Input, Inputs, RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion
-from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
+from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Row
 from trackwright.trackers.core.model.state import State
 
 Belief = TypeVar("Belief")
+
+
+class AbstractStart(eqx.Module):
+    """The prior of a track, from the measurements of a single row; used at the start and after track loss.
+
+    `smooth`: the candidate is differentiable with respect to the sensors' parameters (a weighted mean is, an argmax
+    is not). `known`: the belief is known before the first row, whose measurements update it; else they are its source.
+    """
+
+    smooth: ClassVar[bool] = False
+    known: ClassVar[bool] = False
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The known inputs that it reads; none by default."""
+        return ()
+
+    @property
+    def readings(self) -> Mapping[str, int]:
+        """The readings that it reads by name, with the smallest number of their channels; none by default."""
+        return MappingProxyType({})
+
+    @abstractmethod
+    def can_start(self, row: Row) -> Scalar:
+        """Whether the row has enough measurements to start a track."""
+
+    @abstractmethod
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+        """The expensive search, run only for trajectories that need it; differentiated only if `smooth`."""
+
+    @abstractmethod
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
+        """The prior at this row, given the result of `candidate`; `filter.init` turns it into the filter's belief."""
 
 
 class Innovation(NamedTuple):

@@ -30,8 +30,7 @@ from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter, I
 from trackwright.trackers.core.filters.rts import RtsGain
 from trackwright.trackers.core.model.algebra import Scalar, Vector, compute_once, total
 from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, matched
-from trackwright.trackers.core.model.inputs import Input, Inputs
-from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.inputs import Input, Inputs, RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion, Noise
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.state import State, local, retract

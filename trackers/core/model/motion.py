@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from trackwright.trackers.core.model.algebra import Scalar, Vector, total
 from trackwright.trackers.core.model.inputs import Input, Inputs
 from trackwright.trackers.core.model.state import State
-from trackwright.trackers.core.model.tunable import AbstractTunable, Axis, Constant, Role, Scale, with_role
+from trackwright.trackers.core.model.tunable import AbstractTunable, Axis, Constant, Role, Scale
 
 Noise = AbstractTunable | Constant
 
@@ -27,8 +27,8 @@ def as_scale(value: float | Noise, unit: str, role: Role | None = None, axis: Ax
 
     A `Constant` is returned unchanged.
     """
-    if isinstance(value, Scale):
-        return with_role(value, role, axis)
+    if isinstance(value, Scale) and value.role is None:
+        return eqx.tree_at(lambda scale: scale.raw, Scale(1.0, value.unit, role, axis), value.raw)
     return value if isinstance(value, Noise) else Scale(value, unit, role, axis)
 
 

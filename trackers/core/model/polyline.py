@@ -63,11 +63,9 @@ class Polyline(eqx.Module):
 
     def on_path(self, arclength: Scalar) -> Scalar:
         """The arclength within 0 … `length`: clipped, or modulo the length of a closed path."""
-        return jnp.clip(self.unwound(arclength), 0.0, self.length)
-
-    def unwound(self, arclength: Scalar) -> Scalar:
-        """The arclength modulo the length of a closed path; unchanged for an open one."""
-        return arclength - self.length * jnp.floor(arclength / self.length) if self.closed else arclength
+        if self.closed:
+            arclength = arclength - self.length * jnp.floor(arclength / self.length)
+        return jnp.clip(arclength, 0.0, self.length)
 
     def gathered(self, arclength: Float[Array, " N"], weights: Float[Array, " N"]) -> Float[Array, " N"]:
         """Arclengths (N,) that can be averaged: unwrapped about their circular mean if the path is closed."""

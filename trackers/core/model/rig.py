@@ -17,17 +17,6 @@ Point = Float[np.ndarray, " 3"]
 """A position in space, m."""
 
 
-def rotation_matrices(quaternions: Float[np.ndarray, "*rows 4"]) -> Float[np.ndarray, "*rows 3 3"]:
-    """The matrices (..., 3, 3) of unit quaternions (..., 4) w, x, y, z."""
-    w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
 def angles_in_array(points: Float[Any, "3 *rows"]) -> Float[Any, "*rows 2"]:
     """Azimuth and elevation (..., 2), rad, of points in array frames: u = (sin az cos el, sin el, cos az cos el)."""
     (x, y, z), xp = points, points.__array_namespace__()
@@ -59,7 +48,13 @@ class Station:
 
     def world_from_array(self) -> Float[np.ndarray, "3 3"]:
         """The 3 × 3 matrix that takes array-frame vectors to world-frame vectors; its columns are the array's axes."""
-        return rotation_matrices(np.asarray(self.rotation, float) / math.hypot(*self.rotation))
+        w, x, y, z = np.asarray(self.rotation, float) / math.hypot(*self.rotation)
+        rows = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+        return np.array(rows)
 
     def position_in_array(self, world: Float[Any, "*rows 3"]) -> Float[Any, "*rows 3"]:
         """World points (..., 3), m, in this station's array frame."""

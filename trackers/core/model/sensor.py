@@ -16,6 +16,7 @@ from jax.scipy.special import gammaln
 
 from trackwright.trackers.core.model.algebra import Scalar, Vector, total
 from trackwright.trackers.core.model.inputs import Input, Inputs
+from trackwright.trackers.core.model.motion import Noise
 
 LOG_2PI = 1.8378770664093453
 
@@ -111,6 +112,16 @@ class AbstractSensor(eqx.Module):
     @abstractmethod
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """The whitened residual of a reading from a prediction, with the log of its density's scale."""
+
+
+class AbstractDelayedSensor(AbstractSensor):
+    """A sensor that measures the state `latency` s before the row of its reading.
+
+    `latency_std` s: the standard deviation of a latency that is not known; 0 for one that is.
+    """
+
+    latency: eqx.AbstractVar[Noise]
+    latency_std: eqx.AbstractVar[Noise]
 
 
 def position_in_space(position: Vector, inputs: Inputs) -> Vector:

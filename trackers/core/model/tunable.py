@@ -217,11 +217,6 @@ def role_of(node: AbstractTunable) -> Role | None:
     return node.role if isinstance(node, (Scale, Covariance)) else None
 
 
-def with_role(node: Scale, role: Role | None, axis: Axis | None) -> Scale:
-    """The positive number with this role and axis, unless it already has a role."""
-    return node if node.role is not None else eqx.tree_at(lambda n: n.raw, Scale(1.0, node.unit, role, axis), node.raw)
-
-
 def _checked(role: Role | None, axis: Axis | None) -> tuple[Role | None, Axis | None]:
     for value, expected in ((role, Role), (axis, Axis)):
         if value is not None and value not in get_args(expected):

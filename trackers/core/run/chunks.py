@@ -8,7 +8,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from threading import Lock
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -20,8 +20,8 @@ from trackwright.trackers.core.data.estimates import Estimates
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.model.covariance import FEW, compiler_options, few, side_by_side
 from trackwright.trackers.core.model.motion import AbstractMotion
+from trackwright.trackers.core.programs import kept_program
 from trackwright.trackers.core.run.scan import Output
-from trackwright.trackers.programs.traced_programs import kept_program
 
 Tree = TypeVar("Tree")
 
@@ -131,12 +131,24 @@ def run_chunks(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any
     double = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
     if len(pairs) == 1:
         return [on_host(function, *pairs[0], called)]
-    programs = Programs()
+    compiling: defaultdict[Hashable, Lock] = defaultdict(Lock)
+    compiled: set[Hashable] = set()
+
+    def dispatch(function: Callable[[Any, Batch], Tree], model: Any, part: Batch, for_few: bool) -> Tree:
+        """The result of `called`; if several threads need a new program, one of them compiles it."""
+        leaves, kind = jax.tree_util.tree_flatten((model, part))
+        program = kind, tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves), part.dt.device
+        if program in compiled:
+            return called(function, model, part, for_few)
+        with compiling[program]:
+            result = called(function, model, part, for_few)
+            compiled.add(program)
+        return result
 
     def run(pair: tuple[Any, Batch]) -> Tree:
         # The x64 setting is local to a thread.
         with jax.enable_x64(double):
-            return on_host(function, *pair, programs.dispatch)
+            return on_host(function, *pair, dispatch)
 
     with ThreadPoolExecutor(min(n_workers(), len(pairs))) as pool:
         waiting = [pool.submit(run, pair) for pair in pairs]
@@ -161,26 +173,6 @@ jitted = eqx.filter_jit(_applied, compiler_options=OPTIONS)  # type: ignore[call
 jitted_for_few = eqx.filter_jit(_applied, compiler_options=OPTIONS_FOR_FEW)  # type: ignore[call-overload]
 
 
-class Programs:
-    """The programs of one call of `run_chunks`: if several threads need a new one, one of them compiles it."""
-
-    def __init__(self) -> None:
-        self.compiling: defaultdict[Hashable, Lock] = defaultdict(Lock)
-        self.compiled: set[Hashable] = set()
-
-    def dispatch(self, function: Callable[[Any, Batch], Tree], model: Any, part: Batch, for_few: bool = False) -> Tree:
-        """The result of `called`, whose computation may still run."""
-        leaves, kind = jax.tree_util.tree_flatten((model, part))
-        shapes = tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves)
-        program = kind, shapes, part.dt.device
-        if program in self.compiled:
-            return called(function, model, part, for_few)
-        with self.compiling[program]:
-            result = called(function, model, part, for_few)
-            self.compiled.add(program)
-        return result
-
-
 def called(function: Callable[[Any, Any], Tree], model: Any, part: Any, for_few: bool = False) -> Tree:
     """`function(model, part)` by a compiled program, loaded without tracing where possible.
 
@@ -193,13 +185,7 @@ def called(function: Callable[[Any, Any], Tree], model: Any, part: Any, for_few:
     return result
 
 
-class Scans(Protocol):
-    """The method of a tracker that runs a chunk."""
-
-    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]: ...
-
-
-def batch_estimates(tracker: Scans, batch: Batch, chunk: int, state: Any = None, continues: bool = False) -> Estimates:
+def batch_estimates(tracker: Any, batch: Batch, chunk: int, state: Any = None, continues: bool = False) -> Estimates:
     """The estimates of a batch in chunks of `chunk` trajectories.
 
     `state`: the scan state of all trajectories before the first row; None for no track. With `continues` the estimates
@@ -233,14 +219,15 @@ def trajectories_of(state: Any, start: int, stop: int) -> Any:
     return jax.tree_util.tree_map(cut, state)
 
 
-def outputs(model: tuple[Scans, Any], batch: Batch) -> tuple[Output, Any]:
-    """The outputs of a tracker, without the final state; a function for `run_chunks`."""
-    return model[0].scan(batch, model[1])[0], None
-
-
-def outputs_and_state(model: tuple[Scans, Any], batch: Batch) -> tuple[Output, Any]:
+def outputs_and_state(model: tuple[Any, Any], batch: Batch) -> tuple[Output, Any]:
     """The outputs of a tracker and the final state; a function for `run_chunks`."""
-    return model[0].scan(batch, model[1])
+    result: tuple[Output, Any] = model[0].scan(batch, model[1])
+    return result
+
+
+def outputs(model: tuple[Any, Any], batch: Batch) -> tuple[Output, Any]:
+    """`outputs_and_state` without the state."""
+    return outputs_and_state(model, batch)[0], None
 
 
 def joined(parts: Sequence[tuple[Output, Any]], batch: Batch) -> tuple[Output, Any]:

@@ -13,32 +13,19 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from trackwright.trackers.core.data import HOLE_M, HOLE_S
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.data.seconds import HOLE_M, HOLE_S
-from trackwright.trackers.core.filters.rts import Elapsed
 from trackwright.trackers.core.model.algebra import Scalar, Vector, congruence, full, triangle
 from trackwright.trackers.core.model.covariance import AnyCovariance, as_scalars
+from trackwright.trackers.core.model.inputs import Elapsed
 from trackwright.trackers.core.model.linearise import linearise
-from trackwright.trackers.core.model.motion import Noise
-from trackwright.trackers.core.model.sensor import AbstractSensor
 from trackwright.trackers.core.model.state import State, component_names, coordinates, local_after
 
 LONGEST_S = 1e4
 """Longest gap, s, in elapsed times; across longer ones truth is scored only where it hardly changes."""
-
-
-class AbstractDelayedSensor(AbstractSensor):
-    """A sensor that measures the state `latency` s before the row of its reading.
-
-    `latency_std` s: the standard deviation of a latency that is not known; 0 for one that is.
-    """
-
-    latency: eqx.AbstractVar[Noise]
-    latency_std: eqx.AbstractVar[Noise]
 
 
 def shifted_back(

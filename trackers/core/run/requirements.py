@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -52,17 +52,18 @@ class Layout(NamedTuple):
     arrays: Sequence[Mapping[str, Any]]
 
     @classmethod
-    def of_recording(cls, recording: Recording) -> Layout:
-        """The layout of a recording in arrays."""
+    def of(cls, where: str, rows: Recording | Batch, after: int = 0) -> Layout:
+        """The layout of rows, whose arrays have so many axes `after` those of one trajectory."""
+
+        def shape(array: Any) -> tuple[int, ...]:
+            return np.shape(array)[1 : np.ndim(array) - after]
+
         return cls(
-            f"recording '{recording.name}'",
-            {
-                name: (np.shape(r.values)[1], 0 if r.reported is None else np.shape(r.reported)[1])
-                for name, r in recording.readings.items()
-            },
-            {name: np.shape(x)[1:] for name, x in recording.inputs.items()},
-            {name: np.shape(values)[1] for name, (values, _) in recording.truth.items()},
-            [recording.inputs],
+            where,
+            {name: (shape(r.values)[0], (*shape(r.reported), 0)[0]) for name, r in rows.readings.items()},
+            {name: shape(x) for name, x in rows.inputs.items()},
+            {name: shape(values)[0] for name, (values, _) in rows.truth.items()},
+            [rows.inputs],
         )
 
     @classmethod
@@ -79,23 +80,14 @@ class Layout(NamedTuple):
                     f"the batch: {name} has shape {shape}; expected ({rows}, …, {size}), rows first and trajectories "
                     "last as `dt`; usual fix: make it by `stack` of recordings"
                 )
-        return cls(
-            "the batch",
-            {
-                name: (np.shape(r.values)[1], np.shape(r.reported)[1] if np.ndim(r.reported) == 3 else 0)
-                for name, r in batch.readings.items()
-            },
-            {name: np.shape(x)[1:-1] for name, x in batch.inputs.items()},
-            {name: np.shape(values)[1] for name, (values, _) in batch.truth.items()},
-            [batch.inputs],
-        )
+        return cls.of("the batch", batch, 1)
 
     @classmethod
     def of_recordings(cls, recordings: Sequence[Recording]) -> Layout:
-        """The layout of several recordings; raises UnusableInput where they differ in more than the names of inputs."""
-        first = cls.of_recording(recordings[0])
+        """The layout of recordings; raises UnusableInput where they differ in more than the names of inputs."""
+        first = cls.of(f"recording '{recordings[0].name}'", recordings[0])
         for number, recording in enumerate(recordings[1:], 1):
-            other = cls.of_recording(recording)
+            other = cls.of("", recording)
             for what in ("readings", "inputs", "truth"):
                 one, two = getattr(first, what), getattr(other, what)
                 names = one.keys() & two.keys() if what == "inputs" else [*one, *two]
@@ -109,8 +101,13 @@ class Layout(NamedTuple):
                     )
         return first._replace(arrays=[r.inputs for r in recordings])
 
-    def check_readings(self, reader: str, name: str, channels: Sequence[Channel] | int) -> None:
-        """Raises UnusableInput without readings `name` with exactly these channels, or with at least this number."""
+    def check_readings(
+        self, reader: str, name: str, channels: Sequence[Channel] | int, reported: Sequence[Channel] = ()
+    ) -> None:
+        """Raises UnusableInput without readings `name` with exactly these channels, or with at least this number.
+
+        Also for other noise than `reported`; none is always accepted.
+        """
         if name not in self.readings:
             raise UnusableInput(
                 f"{self.where}: found readings of {listed(self.readings) or 'no sensor'}; expected '{name}', which "
@@ -128,13 +125,11 @@ class Layout(NamedTuple):
                 "one column per channel, with seen = False where a value is missing"
             )
 
-    def check_reported(self, reader: str, name: str, columns: Sequence[Channel]) -> None:
-        """Raises UnusableInput for reported noise in other columns than a sensor reads; none is always accepted."""
-        number = self.readings[name][1]
-        if number and columns and number != len(columns):
+        noise = self.readings[name][1]
+        if noise and reported and noise != len(reported):
             raise UnusableInput(
-                f"{self.where}: readings['{name}'].reported has {counted(number, 'column')}; expected the "
-                f"{len(columns)} of {reader}, {_span(columns)}, or none; usual fix: the square of each standard "
+                f"{self.where}: readings['{name}'].reported has {counted(noise, 'column')}; expected the "
+                f"{len(reported)} of {reader}, {_span(reported)}, or none; usual fix: the square of each standard "
                 "deviation, or leave `reported` out"
             )
 
@@ -203,14 +198,7 @@ def _described(what: str, shape: Any) -> str:
     return f"of {counted(shape, 'column')}" if what == "truth" else f"of shape {shape} per row"
 
 
-@runtime_checkable
-class ChecksLayout(Protocol):
-    """The method of a tracker that the check calls."""
-
-    def check_layout(self, layout: Layout) -> None: ...
-
-
-def check_input(tracker: ChecksLayout, recordings: Any, caller: str) -> Recording | list[Recording] | Batch:
+def check_input(tracker: Any, recordings: Any, caller: str) -> Recording | list[Recording] | Batch:
     """The recording, the recordings as a list, or the batch, checked to have what the tracker reads.
 
     Of several recordings only the inputs that all of them have are kept, since a batch has one array of each. Raises
@@ -218,7 +206,7 @@ def check_input(tracker: ChecksLayout, recordings: Any, caller: str) -> Recordin
     of the check does not grow with the rows, except for inputs that are indices of anchors.
     """
     if isinstance(recordings, Recording):
-        tracker.check_layout(Layout.of_recording(recordings))
+        tracker.check_layout(Layout.of_recordings([recordings]))
         return recordings
     if isinstance(recordings, Batch):
         tracker.check_layout(Layout.of_batch(recordings))
@@ -248,11 +236,10 @@ def _is_sequence(recordings: Any) -> bool:
 
 
 class MissingInputError(KeyError):
-    """A part reads an input, or `readings`, neither declared nor given: `reader` and `name`."""
+    """A part reads an input, or readings, neither declared nor given: its reader, its name, and whether of readings."""
 
-    def __init__(self, reader: str, name: str, readings: bool) -> None:
-        super().__init__(name)
-        self.reader, self.name, self.readings = reader, name, readings
+    def __str__(self) -> str:
+        return repr(self.args[1])
 
 
 class GivenInputs(dict[str, Any]):
@@ -269,8 +256,7 @@ class GivenInputs(dict[str, Any]):
 def check_parts(layout: Layout, tracker: RecursiveTracker) -> None:
     """Raises UnusableInput unless recordings of this layout have what the parts of a recursive tracker read."""
     for name, sensor in tracker.sensors.items():
-        layout.check_readings(_sensor(name, sensor), name, sensor.channels)
-        layout.check_reported(_sensor(name, sensor), name, sensor.reported)
+        layout.check_readings(_sensor(name, sensor), name, sensor.channels, sensor.reported)
     for name, least in tracker.start.readings.items():
         layout.check_readings(f"the start ({type(tracker.start).__name__})", name, least)
     readers = list(_readers(tracker))
@@ -320,11 +306,12 @@ def _initial_view(layout: Layout, tracker: RecursiveTracker) -> Any:
     try:
         return _view_of(tree, fixed, shapes, tuple(layout.readings.items()), tuple(inputs.items()), kind)
     except MissingInputError as missing:
-        if missing.readings:
-            layout.check_readings(missing.reader, missing.name, 0)
+        reader, name, of_readings = missing.args
+        if of_readings:
+            layout.check_readings(reader, name, 0)
         raise UnusableInput(
-            f"{layout.where}: no input '{missing.name}', found {listed(layout.inputs, 8) or 'none'}; expected it, "
-            f"since {missing.reader} reads it; usual fix: add it to the recording's `inputs`, one row per time"
+            f"{layout.where}: no input '{name}', found {listed(layout.inputs, 8) or 'none'}; expected it, "
+            f"since {reader} reads it; usual fix: add it to the recording's `inputs`, one row per time"
         ) from None
 
 

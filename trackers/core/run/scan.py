@@ -6,9 +6,9 @@ over trajectories. The exception is a belief with an axis of particles or cells:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from functools import partial
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, UInt32
 
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
+from trackwright.trackers.core.filters.filter import Innovation
 from trackwright.trackers.core.jax_private import live_part
 from trackwright.trackers.core.model import covariance
 from trackwright.trackers.core.model.algebra import Scalar, mark_dependent, select, total
@@ -34,11 +34,8 @@ from trackwright.trackers.core.model.covariance import (
     side_by_side,
     with_covariances,
 )
-from trackwright.trackers.core.model.keys import RawKey
-from trackwright.trackers.core.model.motion import AbstractMotion
-from trackwright.trackers.core.model.sensor import AbstractSensor, Row
-from trackwright.trackers.core.model.start import AbstractStart
-from trackwright.trackers.core.run.track_loss import AbstractTrackLoss
+from trackwright.trackers.core.model.inputs import RawKey
+from trackwright.trackers.core.model.sensor import Row
 
 
 class StepInfo(NamedTuple):
@@ -61,24 +58,8 @@ class Carry(NamedTuple):
     time_since_measurement: Scalar
 
 
-@runtime_checkable
-class RecursiveTracker(Protocol):
-    """The attributes of a `Tracker` that the scan and the checks before it use."""
-
-    @property
-    def motion(self) -> AbstractMotion: ...
-    @property
-    def sensors(self) -> Mapping[str, AbstractSensor]: ...
-    @property
-    def start(self) -> AbstractStart: ...
-    @property
-    def filter(self) -> AbstractFilter[Any]: ...
-    @property
-    def track_loss(self) -> AbstractTrackLoss: ...
-    def predict(self, belief: Any, row: Row) -> Any: ...
-    def update(self, belief: Any, row: Row, names: Collection[str] | None = None) -> tuple[Any, Innovation]: ...
-    def advance(self, carry: Carry, row: Row, belief: Any, innovation: Innovation) -> tuple[Carry, StepInfo]: ...
-    def moments(self, belief: Any) -> tuple[Any, AnyCovariance]: ...
+RecursiveTracker = Any
+"""A `Tracker`, whose module imports this one."""
 
 
 def carry_axes(tracker: RecursiveTracker) -> Carry:

@@ -21,20 +21,18 @@ from jaxtyping import DTypeLike, Float
 
 from trackwright.trackers.core.data.estimates import Estimates, Status
 from trackwright.trackers.core.data.recording import Batch, Recording, stack
-from trackwright.trackers.core.data.seconds import moment
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, moment
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
-from trackwright.trackers.core.filters.filter import AbstractFilter, Innovation
+from trackwright.trackers.core.filters.filter import AbstractFilter, AbstractStart, Innovation
 from trackwright.trackers.core.model.algebra import Scalar, compute_once, select, total, where_mostly
 from trackwright.trackers.core.model.covariance import AnyCovariance, Gaussian, leading
-from trackwright.trackers.core.model.keys import RawKey
+from trackwright.trackers.core.model.inputs import RawKey
 from trackwright.trackers.core.model.motion import AbstractMotion
-from trackwright.trackers.core.model.sensor import AbstractSensor, Row
-from trackwright.trackers.core.model.start import AbstractStart
+from trackwright.trackers.core.model.sensor import AbstractDelayedSensor, AbstractSensor, Row
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import freeze, with_values
 from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, batch_estimates
-from trackwright.trackers.core.run.latency import AbstractDelayedSensor, scored_truth, shifted_back
+from trackwright.trackers.core.run.latency import scored_truth, shifted_back
 from trackwright.trackers.core.run.requirements import Layout, check_input, check_parts
 from trackwright.trackers.core.run.scan import Carry, Output, ScanState, Score, StepInfo, carry_of, scan_rows
 from trackwright.trackers.core.run.track_loss import ROOM, AbstractTrackLoss, TrackLossPolicy, outside

@@ -8,7 +8,6 @@ import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed, printable
 from trackwright.trackers.recordings.checks import rules
-from trackwright.trackers.recordings.checks.mistakes import check_contradictions, check_mistakes
 from trackwright.trackers.recordings.checks.readings import compared
 from trackwright.trackers.recordings.checks.rules import CheckResult, Level
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -38,9 +37,14 @@ def _results(recording: RecordingFolder, full: bool, calibrated: bool = False) -
     sound = all(one.level != "error" for one in results)
     for name in measured if sound else ():
         view = compared(recording, name)
-        if view is not None and not view.kind.numbered:
+        if view is not None and not view.kind.numbered and view.large().any():
+            # What explains large errors is searched for where there are some.
+            from trackwright.trackers.recordings.checks.mistakes import check_mistakes
+
             results += check_mistakes(view, calibrated)
     if "ranges" in tables and "truth" not in tables and sound and not calibrated:
+        from trackwright.trackers.recordings.checks.mistakes import check_contradictions
+
         results += check_contradictions(rig, tables["ranges"])
     # Heights are a part of the frame.
     if "truth" in tables and not any(one.level == "error" and "the truth" in one.message for one in results):

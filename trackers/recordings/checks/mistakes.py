@@ -222,7 +222,7 @@ def _fitted(view: Compared, change: Change) -> Numbers:
 def check_mistakes(view: Compared, calibrated: bool = False) -> Iterator[CheckResult]:
     """An error for each likely mistake that is not `calibrated` away; a warning of a broken anchor or a small delay."""
     kind, before, limit, named = view.kind, view.sizes(), view.kind.sizes("large", len(view.columns)), False
-    large = unknown = np.asarray((before > limit).any(axis=1))
+    large = unknown = view.large()
     while unknown.any():
         found = _found(view, [one for one in _changes(view) if one.each or not named], before, unknown, ~large)
         best = min(found, key=lambda one: one.cost, default=None)

@@ -7,7 +7,7 @@ from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.recordings.columns import TruePaths, stable_order, within_groups
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -77,6 +77,10 @@ class Compared(NamedTuple):
             middle = np.clip(known_median(part), -most, most)
             sizes[k] = np.where(known, known_median(np.abs(part - middle)), np.nan)
         return sizes
+
+    def large(self) -> Bool[np.ndarray, " G"]:
+        """The groups whose errors are large in a column."""
+        return np.asarray((self.sizes() > self.kind.sizes("large", len(self.columns))).any(axis=1))
 
 
 def compared(recording: RecordingFolder, table: str) -> Compared | None:

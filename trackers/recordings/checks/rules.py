@@ -11,8 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.data.seconds import UNIX_S, span
-from trackwright.trackers.core.errors import listed, significant
+from trackwright.trackers.core.errors import UNIX_S, listed, significant, span
 from trackwright.trackers.core.model.rig import SAY_SIDE, THIN, Rig
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.kinds import KINDS, Kind, table_kinds

@@ -26,7 +26,7 @@ from trackwright.trackers.line.tracker import FloorFixes, line_grid_tracker, lin
 from trackwright.trackers.line.truth import knot_times
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.trajectories import Trajectory
+from trackwright.trackers.recordings.tracks import Trajectory
 
 SITUATIONS = {"situation 1": "constant", "situation 2": "halts", "situation 3": "speeds"}
 

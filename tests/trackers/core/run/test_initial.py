@@ -9,7 +9,7 @@ import pytest
 import trackwright as tw
 from tests.known_start import NEVER_LOST, flat
 from tests.oracles import kalman, van_loan
-from trackwright.trackers.core.model.keys import trajectory_key_data
+from trackwright.trackers.core.model.inputs import trajectory_key_data
 from trackwright.trackers.core.model.tunable import Constant
 from trackwright.trackers.parts.fixes import FIXES
 

@@ -37,8 +37,7 @@ from trackwright.trackers.core.filters.particle.resampling import (
 )
 from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
-from trackwright.trackers.core.model.inputs import Inputs
-from trackwright.trackers.core.model.keys import RawKey, threefry
+from trackwright.trackers.core.model.inputs import Inputs, RawKey, threefry
 from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading, Residual
 from trackwright.trackers.core.model.state import State, dimension, local, retract

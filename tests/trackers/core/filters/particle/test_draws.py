@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.filters.particle.filter import draws
-from trackwright.trackers.core.model.keys import threefry
+from trackwright.trackers.core.model.inputs import threefry
 
 
 def test_the_generator_is_the_one_of_jax():

@@ -10,7 +10,7 @@ import pytest
 FAULTS = """
 import resource, sys
 import numpy as np
-from trackwright.trackers.programs.program_cache import keep
+from trackwright.trackers.core.programs import keep
 if sys.argv[1] == "kept":
     keep()
 np.ones(200_000)

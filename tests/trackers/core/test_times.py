@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from trackwright.trackers.core.data.recording import Readings, Recording
-from trackwright.trackers.core.data.seconds import moment, seconds, span, time_label, zero_of
+from trackwright.trackers.core.errors import moment, seconds, span, time_label, zero_of
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.from_arrays import fix_recording, range_recording
 from trackwright.trackers.recordings.folder import RecordingFolder

@@ -14,9 +14,8 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import TRACKERS, build
+from trackwright.trackers.core.programs import PREFIX, USERS_FILE, ProgramStore
 from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype, chunks, jitted, outputs, outputs_and_state
-from trackwright.trackers.programs.program_cache import ProgramStore
-from trackwright.trackers.programs.traced_programs import PREFIX, USERS_FILE, TracedPrograms
 from trackwright.trackers.recordings.tracks import batches
 
 WORLDS = {"phases": worlds.station, "ranges": worlds.ranges, "imu": worlds.tool, "fixes": worlds.agv}
@@ -82,9 +81,9 @@ def _bits(tree):
 def test_a_program_of_an_earlier_process_gives_the_bits_of_a_traced_one(name, store, compiled):
     model, part = _case(name)
     traced = jitted(outputs, model, part)
-    first = TracedPrograms(store).program(outputs, model, part, OPTIONS)(model, part)
+    first = ProgramStore(store._path, pytest.fail).program(outputs, model, part, OPTIONS)(model, part)
     before = len(compiled)
-    later = TracedPrograms(store).program(outputs, model, part, OPTIONS)(model, part)
+    later = ProgramStore(store._path, pytest.fail).program(outputs, model, part, OPTIONS)(model, part)
     assert len(compiled) == before
     assert _bits(traced) == _bits(first) == _bits(later)
     assert jax.tree_util.tree_structure(traced) == jax.tree_util.tree_structure(later)
@@ -92,7 +91,7 @@ def test_a_program_of_an_earlier_process_gives_the_bits_of_a_traced_one(name, st
 
 def test_other_numbers_use_the_program_and_other_shapes_functions_and_settings_do_not(fixes, store):
     model, part = fixes
-    programs = TracedPrograms(store)
+    programs = ProgramStore(store._path, pytest.fail)
     first = programs.program(outputs, model, part, OPTIONS)
     louder = jax.tree_util.tree_map(lambda x: x + 0.5 if eqx.is_inexact_array(x) else x, model)
     assert programs.program(outputs, louder, part, OPTIONS) is first
@@ -109,12 +108,12 @@ def test_other_numbers_use_the_program_and_other_shapes_functions_and_settings_d
 
 def test_a_damaged_program_is_traced_again(fixes, store):
     model, part = fixes
-    right = _bits(TracedPrograms(store).program(outputs, model, part, OPTIONS)(model, part))
+    right = _bits(ProgramStore(store._path, pytest.fail).program(outputs, model, part, OPTIONS)(model, part))
     (path,) = store._path.glob(f"{PREFIX}*")
     store.put(path.name, b"not a program")
-    assert _bits(TracedPrograms(store).program(outputs, model, part, OPTIONS)(model, part)) == right
+    assert _bits(ProgramStore(store._path, pytest.fail).program(outputs, model, part, OPTIONS)(model, part)) == right
     path.write_bytes(b"junk")
-    assert _bits(TracedPrograms(store).program(outputs, model, part, OPTIONS)(model, part)) == right
+    assert _bits(ProgramStore(store._path, pytest.fail).program(outputs, model, part, OPTIONS)(model, part)) == right
 
 
 class _Mine(eqx.Module):
@@ -125,7 +124,7 @@ class _Mine(eqx.Module):
 
 def test_code_of_others_is_traced(fixes, store, monkeypatch):
     model, part = fixes
-    programs = TracedPrograms(store)
+    programs = ProgramStore(store._path, pytest.fail)
     assert programs.program(lambda model, part: model, model, part) is None
     assert programs.program(_case, model, part) is None
     assert programs.program(outputs, (_Mine(model[0]), None), part) is None

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from trackwright.trackers.core import programs
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.jax_private import cache_opener, set_cache_opener
-from trackwright.trackers.programs import program_cache
-from trackwright.trackers.programs.program_cache import ProgramStore, cache_programs, default_directory, remove_oldest
+from trackwright.trackers.core.programs import ProgramStore, cache_programs, default_directory, remove_oldest
 
 X = np.linspace(0.0, 1.0, 7)
 
@@ -79,7 +79,7 @@ def test_a_damaged_program_is_compiled_again_and_replaced(tmp_path, found, damag
     assert found == [False, False, True]
 
 
-@pytest.mark.parametrize(("module", "name"), [(program_cache, "processor"), (platform, "python_version")])
+@pytest.mark.parametrize(("module", "name"), [(programs, "processor"), (platform, "python_version")])
 def test_a_program_of_another_version_or_processor_is_not_looked_at(module, name, tmp_path, found, monkeypatch):
     cache_programs(tmp_path)
     _computed()

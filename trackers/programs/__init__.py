@@ -1,1 +1,0 @@
-"""Compiled programs that are kept between runs; without them everything computes the same."""
