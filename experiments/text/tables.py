@@ -194,14 +194,6 @@ def width_of(table: Table) -> int:
     return Console(width=UNLIMITED, markup=False, emoji=False).measure(table).maximum
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Rows as lines with two spaces between columns, without a frame."""
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), pad_edge=False)
-    for row in rows:
-        table.add_row(*row)
-    return rendered(UNLIMITED, table).rstrip("\n")
-
-
 def markdown(rows: Sequence[Sequence[str]]) -> str:
     """Rows as a table in Markdown, the first one its head."""
     return "".join(f"| {' | '.join(row)} |\n" for row in (rows[0], ["---"] * len(rows[0]), *rows[1:]))
