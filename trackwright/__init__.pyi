@@ -129,7 +129,6 @@ from trackwright.tuning.objectives import AbstractObjective as AbstractObjective
 from trackwright.tuning.objectives import NegativeLogLikelihood as NegativeLogLikelihood
 from trackwright.tuning.objectives import RootMeanSquareError as RootMeanSquareError
 from trackwright.tuning.objectives import StateLogLikelihood as StateLogLikelihood
-from trackwright.tuning.objectives import Weighted as Weighted
 from trackwright.tuning.optimisation import LBFGS as LBFGS
 from trackwright.tuning.optimisation import Adam as Adam
 from trackwright.tuning.own_levels import fitted as fitted
@@ -277,7 +276,6 @@ __all__ = [
     "NegativeLogLikelihood",
     "RootMeanSquareError",
     "StateLogLikelihood",
-    "Weighted",
     # systematic errors of stations and anchors, positions of anchors without truth, tuned files
     "calibrate",
     "survey",
