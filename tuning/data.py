@@ -166,7 +166,7 @@ def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | 
 
     An RMSE in space would be a badly determined height's, and near the plane of level anchors one is mirrored.
     """
-    weighted = objective is None or (isinstance(objective, str) and "state-nll" in objective)
+    weighted = objective is None or objective == "state-nll"
     if not weighted or batch.planar or _quantity(batch) != "position":
         return 2
     rigs = {trajectory.folder.name: trajectory.folder.rig for trajectory in batch.trajectories}
@@ -312,5 +312,5 @@ def _array_objective(
     if not (goal.needs_truth and isinstance(objective, str)):
         return goal
     estimated = _components(tracker, rows[0], quantity) or 2
-    true = rows[0].truth[quantity][0].shape[1] if "state-nll" in objective else 2
+    true = rows[0].truth[quantity][0].shape[1] if objective == "state-nll" else 2
     return named_objective(objective, quantity, min(dimensions or true, estimated))

@@ -147,12 +147,12 @@ class FitOptions:
     """How a fit is done.
 
     `frozen`: patterns of tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: None
-    for `LBFGS` for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters. `steps`:
-    the most of each start. `starts`: the tracker's own values, then the best of a coarse grid.
-    `held_out`: recordings that select the best point and end the fit, as `fit` takes them. `dimensions`: 3 to judge an
-    estimated height too; None for 3 with `state-nll`, where truth and estimates have heights and anchors are not level,
-    and 2 else. `prior`: of a likelihood, `nll` or `state-nll`: by the spread between sites, or flat. `chunk`:
-    trajectories in one compiled call. Each recording, in arrays each trajectory, has the same weight.
+    for `LBFGS` for likelihoods, else `Adam`, as for particle filters. `steps`: the most of each start. `starts`: the
+    tracker's own values, then the best of a coarse grid. `held_out`: recordings that select the best point and end the
+    fit, as `fit` takes them. `dimensions`: 3 to judge an estimated height too; None for 3 with `state-nll`, where truth
+    and estimates have heights and anchors are not level, and 2 else. `prior`: of a likelihood, `nll` or `state-nll`: by
+    the spread between sites, or flat. `chunk`: trajectories in one compiled call. Each recording, in arrays each
+    trajectory, has the same weight.
     """
 
     frozen: Sequence[str] = ()
@@ -221,9 +221,9 @@ def fit(
     low, high = limits(parameters, bounds)
     if (hidden := _hidden(parameters, objective)).any():
         low, high = (np.where(hidden, flatten(parameters), ends) for ends in (low, high))
-    # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
-    smooth = objective.has_density and not problem.stochastic
-    optimiser = options.optimiser or (LBFGS() if smooth else Adam(options.steps))
+    # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over. A density
+    # jumps little.
+    optimiser = options.optimiser or (LBFGS() if likelihood else Adam(options.steps))
     driver = MultiStart(problem, optimiser, options.steps, low, high, scoring)
     if progress.resume is not None:
         state = from_arrays(optimiser, progress.resume)

@@ -5,9 +5,7 @@ e  estimate − truth of a quantity, (d,)        S  its reported covariance     
 
 from __future__ import annotations
 
-import itertools
 import math
-import re
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -69,11 +67,6 @@ class AbstractObjective(eqx.Module):
     def is_likelihood(self) -> bool:
         """Whether the objective is a negative log-likelihood in some unit."""
         return math.isfinite(self.nats_per_unit([1.0] * self.size))
-
-    @property
-    def has_density(self) -> bool:
-        """Whether it contains a density: one jumps little where a track is nearly lost, and a line search goes on."""
-        return self.is_likelihood
 
     @property
     def of_position(self) -> bool:
@@ -167,56 +160,6 @@ class StateLogLikelihood(AbstractObjective):
         return float(sums[1])
 
 
-class Weighted(AbstractObjective):
-    """A weighted sum of objectives; trajectories for which one of them is not finite are excluded from all."""
-
-    parts: tuple[AbstractObjective, ...]
-    weights: tuple[float, ...] = eqx.field(static=True)
-
-    def __check_init__(self) -> None:
-        if len(self.parts) != len(self.weights) or not all(0 < w < float("inf") for w in self.weights):
-            raise ValueError(f"each of {len(self.parts)} objectives has a weight above zero, found {self.weights}")
-
-    @property
-    def size(self) -> int:
-        return sum(part.size for part in self.parts)
-
-    @property
-    def needs_truth(self) -> bool:
-        return any(part.needs_truth for part in self.parts)
-
-    @property
-    def has_density(self) -> bool:
-        return any(part.has_density for part in self.parts)
-
-    @property
-    def of_position(self) -> bool:
-        return all(part.of_position for part in self.parts)
-
-    @property
-    def horizontal(self) -> bool:
-        return all(part.horizontal for part in self.parts)
-
-    def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
-        return tuple(x for part in self.parts for x in part.terms(output, truth))
-
-    def value(self, sums: Any) -> Scalar:
-        return total(w * part.value(s) for w, part, s in zip(self.weights, self.parts, self.split(sums), strict=True))
-
-    def squares(self, output: Output, truth: Truth) -> tuple[Scalar, Scalar]:
-        return self.parts[0].squares(output, truth)
-
-    def nats_per_unit(self, sums: Any) -> float:
-        if len(self.parts) > 1:
-            return float("nan")
-        return self.parts[0].nats_per_unit(sums) / self.weights[0]
-
-    def split(self, sums: Any) -> list[Any]:
-        """The sums of each objective."""
-        ends = itertools.accumulate(part.size for part in self.parts)
-        return [sums[end - part.size : end] for part, end in zip(self.parts, ends, strict=True)]
-
-
 class NormalisedError(NamedTuple):
     """An error normalised by its covariance: NEES, log det S, and whether the row is scored; all (B,)."""
 
@@ -292,31 +235,9 @@ OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxy
 )
 """Constructors by name, each of a quantity and its number of components."""
 
-SUMMAND = re.compile(r"\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?([a-z][a-z-]*)\s*")
 
-
-def parse_objective(text: str, quantity: str = "position", dimensions: int = 2) -> AbstractObjective:
-    """The objective of a text such as `nll`, or `0.1*rmse + nll`.
-
-    Raises ValueError for an unknown or duplicate name, and for a weight that isn't positive.
-    """
-    parts: dict[str, AbstractObjective] = {}
-    weights, at = [], 0
-    while True:
-        match = SUMMAND.match(text, at)
-        if match is None or match[2] not in OBJECTIVES or match[2] in parts:
-            names = ", ".join(OBJECTIVES)
-            raise ValueError(f"'{text}' is no objective; expected some of {names}, each once, as 'nll+0.1*rmse'")
-        try:
-            weights.append(float(match[1] or 1.0))
-        except ValueError as error:
-            raise ValueError(f"'{text}': the weight '{match[1]}' is not a number") from error
-        parts[match[2]] = OBJECTIVES[match[2]](quantity, dimensions)
-        at = match.end()
-        if at == len(text):
-            break
-        if text[at] != "+":
-            raise ValueError(f"'{text}': found '{text[at:]}' where '+' and another objective were expected")
-        at += 1
-    only = list(parts.values())
-    return only[0] if len(only) == 1 and weights == [1.0] else Weighted(tuple(only), tuple(weights))
+def parse_objective(name: str, quantity: str = "position", dimensions: int = 2) -> AbstractObjective:
+    """The objective of this name; raises ValueError for an unknown one."""
+    if name not in OBJECTIVES:
+        raise ValueError(f"'{name}' is no objective; expected one of {', '.join(OBJECTIVES)}")
+    return OBJECTIVES[name](quantity, dimensions)
