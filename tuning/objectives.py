@@ -35,17 +35,13 @@ class MissingQuantityError(ValueError):
 
 
 class AbstractObjective(eqx.Module):
-    """A function of sums: `terms` of all rows are added over rows and trajectories, `value` maps sums to a number."""
+    """A function of sums: `terms` of all rows are added over rows and trajectories, `value` maps sums to a number.
 
-    @property
-    @abstractmethod
-    def size(self) -> int:
-        """Number of terms of a row."""
+    `size`: number of terms of a row. `needs_truth`: whether only rows with known truth count.
+    """
 
-    @property
-    @abstractmethod
-    def needs_truth(self) -> bool:
-        """Whether only rows with known truth count."""
+    size: eqx.AbstractClassVar[int]
+    needs_truth: eqx.AbstractClassVar[bool]
 
     @abstractmethod
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import fnmatch
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -39,16 +38,15 @@ Vector = Float[Array | np.ndarray, " p"]
 TIED = "tied:"
 
 
-@dataclass(frozen=True)
-class Parameter:
+class Parameter(eqx.Module):
     """One tunable, or several tied to be equal: `names` in the tracker, and an `example` with unit and constraint.
 
     `label`: the tunable's name, or the pattern of tied ones.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...] = eqx.field(static=True)
     example: AbstractTunable
-    label: str
+    label: str = eqx.field(static=True)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float, Int, Num, Shaped, UInt32
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter
 from trackwright.trackers.core.model.covariance import FEW, few
-from trackwright.trackers.core.model.tunable import AbstractTunable
 from trackwright.trackers.core.run.chunks import (
     CHUNK,
     as_dtype,
@@ -67,22 +66,8 @@ class Point(eqx.Module):
 
     tracker: AbstractTracker
     objective: AbstractObjective
-    names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
-    labels: tuple[str, ...] = eqx.field(static=True)
-    examples: tuple[AbstractTunable, ...]
+    parameters: tuple[Parameter, ...]
     vectors: Float[Array, "S p"]
-
-    def __init__(
-        self,
-        tracker: AbstractTracker,
-        objective: AbstractObjective,
-        parameters: Sequence[Parameter],
-        vectors: Float[Array, "S p"],
-    ):
-        self.tracker, self.objective, self.vectors = tracker, objective, vectors
-        self.names = tuple(p.names for p in parameters)
-        self.labels = tuple(p.label for p in parameters)
-        self.examples = tuple(p.example for p in parameters)
 
     def at(self, vectors: Float[np.ndarray, "*S p"]) -> Point:
         """This point at other vectors (S, p) or one."""
@@ -90,8 +75,7 @@ class Point(eqx.Module):
 
     def tracker_at(self, vector: Vector) -> AbstractTracker:
         """The tracker with the parameters of one vector."""
-        parts = zip(self.names, self.examples, self.labels, strict=True)
-        return with_parameters(self.tracker, [Parameter(*part) for part in parts], vector)
+        return with_parameters(self.tracker, self.parameters, vector)
 
     def map_vectors(self, function: Callable[[Float[Array, " p"]], Any]) -> Any:
         """`function` of every vector, results stacked along a new first axis."""
@@ -222,7 +206,7 @@ class Problem:
         dtype = batches[0].columns(0, 1).dt.dtype
         self.tracker = as_dtype(tracker, dtype)
         start = jnp.asarray(flatten(self.parameters)[None], dtype)
-        self.start = Point(self.tracker, self.objective, self.parameters, start)
+        self.start = Point(self.tracker, self.objective, tuple(self.parameters), start)
         most = most_few(self.tracker, gradient=True)
         self.chunks = list(placed(Pieces(batches, chunk, most)))
         self.rows: list[Int[np.ndarray, " B"]] = [np.asarray(part.valid).sum(axis=0) for part in self.chunks]
