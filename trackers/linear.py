@@ -34,11 +34,8 @@ from trackwright.trackers.parts.fixes import correlated
 Matrix = Float[np.ndarray, "n n"] | Callable[..., Any] | tuple[Callable[..., Any], Mapping[str, float]]
 """A covariance: an array; a function of `dt`, s; or a function of `dt` and numbers to tune, with their first values."""
 
-SENSOR = "z"
-"""The name of the readings where there is one sensor alone."""
-
-DIFFUSE = 1e6
-"""Variance of each component of the state where no `P0` is given."""
+SENSOR = "z"  # the name of the readings where there is one sensor alone
+DIFFUSE = 1e6  # variance of each component of the state where no `P0` is given
 
 _SINGULAR = 1e-12
 

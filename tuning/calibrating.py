@@ -41,14 +41,9 @@ from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 from trackwright.trackers.recordings.tracks import known_heights
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
-LEAST_SLOPE = 0.2
-"""Least slope of a calibrated angle or range, so that each reading has one true value."""
-
-TAG_ROUNDS = 3
-"""How often the biases of anchors and of tags are fitted in turn."""
-
-MOST_VISITS = 500
-"""The most visits of a station that a map keeps; more are thinned evenly."""
+LEAST_SLOPE = 0.2  # least slope of a calibrated angle or range, so that each reading has one true value
+TAG_ROUNDS = 3  # how often the biases of anchors and of tags are fitted in turn
+MOST_VISITS = 500  # the most visits of a station that a map keeps; more are thinned evenly
 
 
 def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibration:
@@ -279,17 +274,10 @@ def halves(folder: RecordingFolder) -> tuple[RecordingFolder, RecordingFolder]:
     return first, second
 
 
-PLACE_M = 1.0
-"""Side of the squares of the floor, m, within which errors count as dependent."""
-
-MIN_ROWS = 20
-"""Least number of rows with truth of a station or anchor that is calibrated."""
-
-MOST_PIECES = 1_000_000
-"""More pieces than a recording has: pieces of different recordings have different numbers."""
-
-VISIT_M, DIGITS = 0.5, 4
-"""Distance, m, from the first row of a visit within which further rows are of the same one; decimals of its means."""
+PLACE_M = 1.0  # side of the squares of the floor, m, within which errors count as dependent
+MIN_ROWS = 20  # least number of rows with truth of a station or anchor that is calibrated
+MOST_PIECES = 1_000_000  # more pieces than a recording has: pieces of different recordings have different numbers
+VISIT_M, DIGITS = 0.5, 4  # distance, m, from a visit's first row within which rows are of it; decimals of its means
 
 
 class Pairs(NamedTuple):

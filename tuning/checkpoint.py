@@ -18,8 +18,7 @@ from trackwright.tuning.optimisation import AbstractOptimiser, FitState
 from trackwright.tuning.problem import Pieces
 
 CHECKPOINT = "checkpoint.npz"
-FORMAT = 2
-"""Of the arrays of a state; a checkpoint of another format is refused."""
+FORMAT = 2  # of the arrays of a state; a checkpoint of another format is refused
 
 
 def to_arrays(state: FitState) -> list[np.ndarray]:

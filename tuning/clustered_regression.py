@@ -17,20 +17,11 @@ from scipy.stats import t as student_t
 
 from trackwright.trackers.recordings.columns import within_groups
 
-DOF = 4.0
-"""Degrees of freedom of Student's t of the errors."""
-
-POOLED = 10.0
-"""The number of clusters that the design effect of all regressions counts as, beside a regression's own clusters."""
-
-MOST = 100
-"""The most rows of one place in one piece of time, evenly spaced: their errors are dependent."""
-
-LEAST_SPARE = 2.0
-"""Least degrees of freedom of a variance: with one, intervals would be 13 standard deviations wide."""
-
-SMALLEST = 1e-6
-"""Least scale of the errors, rad or m, below any resolution of a reading."""
+DOF = 4.0  # degrees of freedom of Student's t of the errors
+POOLED = 10.0  # clusters that the design effect of all regressions counts as, beside a regression's own
+MOST = 100  # the most rows of one place in one piece of time, evenly spaced: their errors are dependent
+LEAST_SPARE = 2.0  # least degrees of freedom of a variance: with one, intervals would be 13 standard deviations wide
+SMALLEST = 1e-6  # least scale of the errors, rad or m, below any resolution of a reading
 
 _ROUNDS, _STEPS = 8, 10
 

@@ -18,14 +18,9 @@ from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import MIN_TRAJECTORIES, Interval, Uncertainty, loose_groups, unidentifiable, unused
 from trackwright.tuning.weight import rows_and_inflation
 
-COLLAPSED = 1e-3
-"""Part of its starting value below which a noise level has collapsed."""
-
-MOVED = 1e-6
-"""Change in unconstrained coordinates below which a fit has not moved."""
-
-INFLATION = 2.0
-"""Rows with the information of one from which on errors are named as correlated."""
+COLLAPSED = 1e-3  # part of its starting value below which a noise level has collapsed
+MOVED = 1e-6  # change in unconstrained coordinates below which a fit has not moved
+INFLATION = 2.0  # rows with the information of one from which on errors are named as correlated
 
 
 class Issue(NamedTuple):

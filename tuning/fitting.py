@@ -332,12 +332,10 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
     ]
 
 
-MOST_FOLDS = 10
-"""Fits at most: of more recordings several are left out at once."""
+MOST_FOLDS = 10  # fits at most: of more recordings several are left out at once
 
 
-LEFT_OUT_ROUNDS = 8
-"""Steps of each fit from the optimum of all recordings."""
+LEFT_OUT_ROUNDS = 8  # steps of each fit from the optimum of all recordings
 
 
 def _model(result: FitResult) -> Uncertainty | None:
@@ -370,8 +368,7 @@ def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
     }
 
 
-BLOCKS = 4
-"""Blocks of time of a single recording."""
+BLOCKS = 4  # blocks of time of a single recording
 
 
 def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float, dict[str, np.ndarray]]]:

@@ -21,8 +21,7 @@ from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.sensor import LOG_2PI
 from trackwright.trackers.core.run.scan import Output
 
-Truth = dict[str, tuple[Any, Any]]
-"""The truth of a row by quantity: its components, each (B,), and whether it is known (B,)."""
+Truth = dict[str, tuple[Any, Any]]  # of a row by quantity: its components, each (B,), and whether it is known (B,)
 
 
 def name_of(objective: object) -> str:

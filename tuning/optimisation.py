@@ -25,8 +25,7 @@ from trackwright.tuning.uncertainty import Optimum, determined, optimum
 
 Vectors = Float[np.ndarray, "S p"]
 
-MAX_STEP = 2.0
-"""Longest step in unconstrained coordinates: a noise level changes by a factor of seven at most."""
+MAX_STEP = 2.0  # longest step in unconstrained coordinates: a noise level changes by a factor of seven at most
 
 
 class AbstractOptimiser(eqx.Module):
@@ -116,23 +115,12 @@ def _update(optimiser: Adam | LBFGS, gradient: jax.Array, state: Any, vector: ja
     return optimiser.transformation.update(gradient, state, vector)  # type: ignore[return-value]
 
 
-MAX_ATTEMPTS = 7
-"""Attempts at a step, each shorter than the one before; a start that none of them helps has converged."""
-
-SHORTEST, LONGEST = 0.1, 0.5
-"""Length of an attempt relative to the one before."""
-
-ANOTHER_ATTEMPT = 10.0
-"""Expected gain of a second and later attempt, relative to the least gain of a step."""
-
-SAME_START = 0.2
-"""Distance between two starts below which the worse one ends, in unconstrained coordinates: 20 % of a noise level."""
-
-PATIENCE = 15
-"""Steps without the least gain after which a start of an optimiser that also takes steps up ends."""
-
-MIN_GAIN_NATS = 0.01
-"""Least gain in likelihood per step for a start to continue: far below any relevant change of a parameter."""
+MAX_ATTEMPTS = 7  # attempts at a step, each shorter than the one before; a start that none of them helps has converged
+SHORTEST, LONGEST = 0.1, 0.5  # length of an attempt relative to the one before
+ANOTHER_ATTEMPT = 10.0  # expected gain of a second and later attempt, relative to the least gain of a step
+SAME_START = 0.2  # unconstrained distance of two starts below which the worse one ends: 20 % of a noise level
+PATIENCE = 15  # steps without the least gain after which a start of an optimiser that also takes steps up ends
+MIN_GAIN_NATS = 0.01  # gain in likelihood, a step, below which a start ends: far below any relevant change
 
 
 class FitState(NamedTuple):
@@ -340,8 +328,7 @@ def min_gain(value: float, nats_per_unit: float) -> float:
     return max(MIN_GAIN_NATS / nats_per_unit, 1e-7 * abs(value)) if np.isfinite(nats_per_unit) else 1e-5 * abs(value)
 
 
-GRID_STEP = np.log(10.0)
-"""Distance between points of the coarse grid of starts, in unconstrained coordinates: a factor of ten."""
+GRID_STEP = np.log(10.0)  # unconstrained distance of points of the coarse grid of starts: a factor of ten
 
 
 def initial_state(driver: MultiStart, vector: Float[np.ndarray, " p"], starts: int) -> FitState:

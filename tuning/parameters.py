@@ -32,8 +32,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 
 Tree = TypeVar("Tree")
 
-Vector = Float[Array | np.ndarray, " p"]
-"""Unconstrained numbers, on the host or traced."""
+Vector = Float[Array | np.ndarray, " p"]  # unconstrained numbers, on the host or traced
 
 TIED = "tied:"
 
@@ -252,8 +251,7 @@ Of the logarithm of a noise level or another positive number, and of the logit o
 unit, as the latency of fixes in s.
 """
 
-DOF = 3.0
-"""Degrees of freedom."""
+DOF = 3.0  # degrees of freedom
 
 
 class Penalty(NamedTuple):

@@ -38,14 +38,9 @@ Terms = Float[np.ndarray, "many k n"]
 Values = Float[np.ndarray, " many"]
 """Unconstrained vectors of p numbers, S of them or one; the terms of a number of them, and their values."""
 
-MAX_VECTORS = 8
-"""Most vectors in one compiled call: with some dozens of trajectories, eight cost little more than one."""
-
-MAX_GRADIENT_RATIO = 1e3
-"""Gradient size of a trajectory, relative to the median, above which the trajectory is excluded."""
-
-BESIDE = 2
-"""Numbers of a row beside the terms of the objective: its `AbstractObjective.squares`."""
+MAX_VECTORS = 8  # most vectors in one compiled call: with some dozens of trajectories, eight cost little more than one
+MAX_GRADIENT_RATIO = 1e3  # size of a trajectory's gradient, relative to the median, above which it is excluded
+BESIDE = 2  # numbers of a row beside the terms of the objective: its `AbstractObjective.squares`
 
 
 @dataclass(frozen=True)

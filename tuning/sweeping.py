@@ -19,8 +19,7 @@ from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import TIED, Parameter, select_parameters
 from trackwright.tuning.problem import Problem
 
-POINTS_PER_REPORT = 32
-"""Grid points between two progress reports."""
+POINTS_PER_REPORT = 32  # grid points between two progress reports
 
 
 @dataclass(frozen=True)

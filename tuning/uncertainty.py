@@ -28,26 +28,13 @@ from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, physical, physical_errors, split
 from trackwright.tuning.problem import Evaluation, Problem, value_and_gradient
 
-MIN_CURVATURE = 1e-5
-"""Curvature of a direction, relative to the largest, below which it is undetermined: rounding."""
-
-MIN_TRAJECTORIES = 20
-"""Trajectories from which on there is a scatter."""
-
-MIN_COMPONENT = 0.1
-"""Component of a unit direction from which on a parameter belongs to the direction."""
-
-MAX_DISTANCE = 1.0
-"""Standard deviations between a point and the optimum beyond which the point has no interval."""
-
-MIN_SLOPE_NATS = 1.0
-"""Change of a likelihood, nats per factor of e, from which on it depends on a parameter."""
-
-LARGE_SIGMA = 1.0
-"""Standard deviation of an unconstrained number from which on it is hardly determined: a factor of e either way."""
-
-Interval = tuple[np.ndarray, np.ndarray]
-"""Lowest and highest value."""
+MIN_CURVATURE = 1e-5  # curvature of a direction, relative to the largest, below which it is undetermined: rounding
+MIN_TRAJECTORIES = 20  # trajectories from which on there is a scatter
+MIN_COMPONENT = 0.1  # component of a unit direction from which on a parameter belongs to the direction
+MAX_DISTANCE = 1.0  # standard deviations between a point and the optimum beyond which the point has no interval
+MIN_SLOPE_NATS = 1.0  # change of a likelihood, nats per factor of e, from which on it depends on a parameter
+LARGE_SIGMA = 1.0  # deviation of an unconstrained number from which it is hardly determined: a factor of e either way
+Interval = tuple[np.ndarray, np.ndarray]  # lowest and highest value
 
 By = Literal["curvature", "scatter", "either"]
 """Source of an interval: the posterior, the sandwich, or the wider of the two."""
@@ -213,8 +200,7 @@ def determined(
     return missing, inverse, parts
 
 
-STEP = 0.02
-"""Step of the central differences in unconstrained coordinates: 2 % of a noise level."""
+STEP = 0.02  # step of the central differences in unconstrained coordinates: 2 % of a noise level
 
 
 class Optimum(NamedTuple):
@@ -338,14 +324,9 @@ def _updated(
     return np.where(sound[:, None, None], new, inverses)
 
 
-PART = 0.05
-"""Part of what a fit gained that a flat number may have gained, where the objective is no likelihood."""
-
-NATS = 1.92
-"""Rise of a likelihood, nats, within which a value is in the 95 % interval of a profile (Wilks 1938)."""
-
-ROUNDS = 8
-"""Steps of the other numbers with one at its starting value."""
+PART = 0.05  # part of what a fit gained that a flat number may have gained, where the objective is no likelihood
+NATS = 1.92  # rise of a likelihood, nats, within which a value is in the 95 % interval of a profile (Wilks 1938)
+ROUNDS = 8  # steps of the other numbers with one at its starting value
 
 
 def flat_components(uncertainty: Uncertainty) -> list[int]:

@@ -42,8 +42,7 @@ LEAST_SAMPLES, LOST = 8.0, 0.1
 """Effective samples below which a recording is too short for a verdict; the share of rows that are lost or have no
 covariance beyond which covariances are not judged."""
 
-MOST_ROWS = 12
-"""Rows of the table of an evaluation that a terminal shows."""
+MOST_ROWS = 12  # rows of the table of an evaluation that a terminal shows
 
 HOLD, SHORT, SMALL, LARGE = "hold", "too short", "too small", "too large"
 
