@@ -15,7 +15,7 @@ from trackwright.trackers.core.on_demand import from_file, split_name
 # Lists and shells have the names of trackers, for which neither jax nor polars need be imported.
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.folder import RecordingFolder
-    from trackwright.trackers.recordings.named_tracker import NamedTracker, TrackerSpec
+    from trackwright.trackers.recordings.named_tracker import NamedTracker, Recordings, TrackerSpec
 
 
 class Entry(NamedTuple):
@@ -133,12 +133,7 @@ def _completed(name: str, entry: Entry) -> TrackerSpec:
 TRACKERS: Mapping[str, TrackerSpec] = _Catalogue()
 
 
-def build(
-    name: str,
-    recordings: RecordingFolder | Sequence[RecordingFolder],
-    free_height: bool = False,
-    side: str | None = None,
-) -> NamedTracker:
+def build(name: str, recordings: Recordings, free_height: bool = False, side: str | None = None) -> NamedTracker:
     """The tracker of this name for recordings; `name` is one of the catalogue's or `FILE.py:NAME` of a `TrackerSpec`.
 
     `free_height`: estimate the height of tags even where rig.toml gives it. `side`: above or below, where the tags are
@@ -149,7 +144,7 @@ def build(
     return NamedTracker.of(name, spec_of(name), recordings, free_height, side)
 
 
-def tracker_for(recordings: RecordingFolder | Sequence[RecordingFolder], free_height: bool = False) -> NamedTracker:
+def tracker_for(recordings: Recordings, free_height: bool = False) -> NamedTracker:
     """The tracker that fits the tables of the (first) recording, as `trackwright track` chooses it.
 
     Raises UnusableInput where none fits.

@@ -41,6 +41,8 @@ from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 from trackwright.trackers.recordings.tracks import known_heights
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
+Stations, Numbers = Mapping[str, StationCalibration], Mapping[str, np.ndarray]  # by station; by anchor
+
 LEAST_SLOPE = 0.2  # least slope of a calibrated angle or range, so that each reading has one true value
 TAG_ROUNDS = 3  # how often the biases of anchors and of tags are fitted in turn
 MOST_VISITS = 500  # the most visits of a station that a map keeps; more are thinned evenly
@@ -63,11 +65,7 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     return replace(calibration, bearing_map=by_place)
 
 
-def _confirmed_map(
-    pairs: Mapping[str, Pairs],
-    stations: Mapping[str, StationCalibration],
-    without: Sequence[Mapping[str, StationCalibration]],
-) -> dict[str, np.ndarray]:
+def _confirmed_map(pairs: Mapping[str, Pairs], stations: Stations, without: Sequence[Stations]) -> Numbers:
     """The visits (V, 4) of all recordings about their calibration, by station; none where those left out refute them.
 
     The rule: the visits of each recording, about a calibration on the others (`without`, by number), are together more
@@ -209,7 +207,7 @@ def _anchors(
 
 
 def _tag_biases(
-    rows: Mapping[str, Rows], fitted: Mapping[str, Regression], number: Mapping[str, np.ndarray], count: int
+    rows: Mapping[str, Rows], fitted: Mapping[str, Regression], number: Numbers, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Biases of tags (count,), relative to their mean, and their standard deviations, from errors at all anchors."""
     left = [
@@ -225,10 +223,7 @@ def _tag_biases(
 
 
 def _tag_offsets(
-    rows: Mapping[str, Rows],
-    fitted: Mapping[str, Regression],
-    number: Mapping[str, np.ndarray],
-    ends: Mapping[str, np.ndarray],
+    rows: Mapping[str, Rows], fitted: Mapping[str, Regression], number: Numbers, ends: Numbers
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where the ranges of tags end (tags, 2) and its standard deviations, zero where no heading is known.
 
@@ -257,21 +252,14 @@ def _tag_offsets(
 
 def by_halves(folder: RecordingFolder) -> list[RecordingFolder]:
     """The halves of a recording with truth, each with a calibration of the other; raises as `calibrate`."""
-    first, second = halves(folder)
-    return [first.calibrated(calibrate(second)), second.calibrated(calibrate(first))]
-
-
-def halves(folder: RecordingFolder) -> tuple[RecordingFolder, RecordingFolder]:
-    """The rows before the middle of the truth, and those from there on."""
-    times = folder.tables["truth"]["t_s"]
+    tables = folder.tables
+    times = tables["truth"]["t_s"]
     before = pl.col("t_s") < 0.5 * (float(times[0]) + float(times[-1]))
     first, second = (
-        replace(
-            folder, name=f"{folder.name}, {which} half", tables={k: t.filter(rows) for k, t in folder.tables.items()}
-        )
+        replace(folder, name=f"{folder.name}, {which} half", tables={k: t.filter(rows) for k, t in tables.items()})
         for which, rows in (("first", before), ("second", ~before))
     )
-    return first, second
+    return [first.calibrated(calibrate(second)), second.calibrated(calibrate(first))]
 
 
 PLACE_M = 1.0  # side of the squares of the floor, m, within which errors count as dependent
@@ -285,8 +273,7 @@ class Pairs(NamedTuple):
 
     `true` and `measured` (N, 2) rad or (N, 1) m, NaN where not measured. `positions` (N, 3) m. `recording` (N,): the
     number of each row's recording. `piece`, `place` (N,): numbers of its piece of time and of its square. `tag` (N,):
-    its id. `time` (N,) s. `heading` (N,) rad: of the body, NaN where it
-    is not known.
+    its id. `time` (N,) s. `heading` (N,) rad: of the body, NaN where it is not known.
     """
 
     true: np.ndarray

@@ -44,12 +44,6 @@ class Regression(NamedTuple):
     scale: float
 
 
-class _Fit(NamedTuple):
-    regression: Regression
-    effect: float
-    clusters: float
-
-
 def regressions(rows: Mapping[str, Rows], mean: np.ndarray, sigmas: np.ndarray) -> dict[str, Regression]:
     """The regressions of several sources of a kind, with the normal prior `mean`, `sigmas` (p,) of their terms.
 
@@ -57,17 +51,19 @@ def regressions(rows: Mapping[str, Rows], mean: np.ndarray, sigmas: np.ndarray) 
     rows count. The design effects of the sources are pooled where their own clusters are few.
     """
     fits = {name: _fit(of_source, mean, sigmas, None) for name, of_source in rows.items()}
-    spare = {name: max(fit.clusters - len(mean), 0.0) for name, fit in fits.items()}
+    spare = {name: max(clusters - len(mean), 0.0) for name, (_, _, clusters) in fits.items()}
     total = sum(spare.values())
     result = {}
     for name, of_source in rows.items():
-        pooled = sum(spare[k] * fits[k].effect for k in fits) / total if total > 0.0 else fits[name].effect
-        result[name] = _fit(of_source, mean, sigmas, (pooled, total)).regression
+        pooled = sum(spare[k] * effect for k, (_, effect, _) in fits.items()) / total if total > 0.0 else fits[name][1]
+        result[name] = _fit(of_source, mean, sigmas, (pooled, total))[0]
     return result
 
 
-def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, float] | None) -> _Fit:
-    """One regression; `pooled`: the design effect of all of them, and its degrees of freedom."""
+def _fit(
+    rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, float] | None
+) -> tuple[Regression, float, float]:
+    """A regression, its design effect and clusters; `pooled`: the effect of all of them, and its degrees of freedom."""
     rows, cells = _in_order(rows)
     x, y, begins = rows.x, rows.y, np.flatnonzero(np.append(True, np.diff(cells) != 0))
     clusterings = [_numbered(c[begins]) for c in (rows.piece, rows.place)]
@@ -109,7 +105,7 @@ def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, 
             B, effect = B * wider, effect * wider
     inverse = np.linalg.inv(A / effect + precision)
     covariance = inverse @ (B / effect**2 + precision) @ inverse
-    return _Fit(Regression(terms, 0.5 * (covariance + covariance.T), sigma), effect, clusters)
+    return Regression(terms, 0.5 * (covariance + covariance.T), sigma), effect, clusters
 
 
 def _in_order(rows: Rows) -> tuple[Rows, np.ndarray]:

@@ -13,7 +13,7 @@ from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.tunable import Scale, tunables
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.parameters import Parameter, component_names, split
+from trackwright.tuning.parameters import Parameter, Vector, component_names, split
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import MIN_TRAJECTORIES, Interval, Uncertainty, loose_groups, unidentifiable, unused
 from trackwright.tuning.weight import rows_and_inflation
@@ -84,12 +84,7 @@ def identifiability_issues(
 
 
 def finished_cautions(
-    problem: Problem,
-    start: Float[np.ndarray, " p"],
-    end: Float[np.ndarray, " p"],
-    uncertainty: Uncertainty | None,
-    converged: bool,
-    selected: bool,
+    problem: Problem, start: Vector, end: Vector, uncertainty: Uncertainty | None, converged: bool, selected: bool
 ) -> list[str]:
     """Clauses on a finished fit, as in `FitResult.cautions`. For a likelihood this runs the filter once more."""
     texts = []

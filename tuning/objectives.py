@@ -8,14 +8,14 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.algebra import Scalar, cholesky, total, triangle
 from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.sensor import LOG_2PI
@@ -27,10 +27,6 @@ Truth = dict[str, tuple[Any, Any]]  # of a row by quantity: its components, each
 def name_of(objective: object) -> str:
     """The name of an objective, or of its class, for messages."""
     return objective if isinstance(objective, str) else type(objective).__name__
-
-
-class MissingQuantityError(ValueError):
-    """A tracker's state, or the truth, lacks the quantity whose error an objective needs, or components of it."""
 
 
 class AbstractObjective(eqx.Module):
@@ -91,21 +87,26 @@ class NegativeLogLikelihood(AbstractObjective):
         return float(sums[1])
 
 
-class RootMeanSquareError(AbstractObjective):
-    """The root mean square error of a quantity of the state, in the quantity's unit.
-
-    `quantity`: a vector field of the state, such as `position`; `dimensions`: the number of its components that count.
-    """
+class _OfErrors(AbstractObjective):
+    """An objective of the errors of `quantity`, a vector field of the state, in its first `dimensions` components."""
 
     quantity: str = eqx.field(static=True, default="position")
     dimensions: int = eqx.field(static=True, default=2)
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = True
-    of_position: ClassVar[bool] = True
 
     @property
     def horizontal(self) -> bool:
         return self.quantity == "position" and self.dimensions <= 2
+
+
+class RootMeanSquareError(_OfErrors):
+    """The root mean square error of a quantity of the state, in the quantity's unit.
+
+    `quantity`: a vector field of the state, such as `position`; `dimensions`: the number of its components that count.
+    """
+
+    of_position: ClassVar[bool] = True
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         errors, scored = errors_of(output, truth, self.quantity, self.dimensions)
@@ -116,7 +117,7 @@ class RootMeanSquareError(AbstractObjective):
         return jnp.sqrt(sums[0] / sums[1])
 
 
-class StateLogLikelihood(AbstractObjective):
+class StateLogLikelihood(_OfErrors):
     """The mean negative log density of the truth under each row's mean and covariance, nats per row.
 
     Fields as in `RootMeanSquareError`. Unlike an RMSE it penalises overconfident and underconfident covariances. Errors
@@ -124,52 +125,36 @@ class StateLogLikelihood(AbstractObjective):
     density of a third component given the other two (composite likelihood).
     """
 
-    quantity: str = eqx.field(static=True, default="position")
-    dimensions: int = eqx.field(static=True, default=2)
     height_weight: float = eqx.field(static=True, default=1.0)
-    size: ClassVar[int] = 2
-    needs_truth: ClassVar[bool] = True
 
     @property
     def of_position(self) -> bool:
         return self.quantity == "position"
 
-    @property
-    def horizontal(self) -> bool:
-        return self.quantity == "position" and self.dimensions <= 2
-
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         weights = (1.0, 1.0, self.height_weight)[: self.dimensions]
-        error = normalised_error(output, truth, self.quantity, self.dimensions, weights)
-        density = -0.5 * (error.nees + error.log_determinant + sum(weights) * LOG_2PI)
-        return jnp.where(error.scored, -density, 0.0), jnp.where(error.scored, jnp.ones_like(density), 0.0)
+        nees, log_determinant, scored = normalised_error(output, truth, self.quantity, self.dimensions, weights)
+        density = -0.5 * (nees + log_determinant + sum(weights) * LOG_2PI)
+        return jnp.where(scored, -density, 0.0), jnp.where(scored, jnp.ones_like(density), 0.0)
 
     def value(self, sums: Any) -> Scalar:
         return sums[0] / sums[1]
 
     def squares(self, output: Output, truth: Truth) -> tuple[Scalar, Scalar]:
-        error = normalised_error(output, truth, self.quantity, self.dimensions)
-        return error.nees, jnp.where(error.scored, float(self.dimensions), 0.0)
+        nees, _, scored = normalised_error(output, truth, self.quantity, self.dimensions)
+        return nees, jnp.where(scored, float(self.dimensions), 0.0)
 
     def nats_per_unit(self, sums: Any) -> float:
         return float(sums[1])
 
 
-class NormalisedError(NamedTuple):
-    """An error normalised by its covariance: NEES, log det S, and whether the row is scored; all (B,)."""
-
-    nees: Scalar
-    log_determinant: Scalar
-    scored: Scalar
-
-
 def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> tuple[list[Scalar], Scalar]:
-    """Estimate − truth of a quantity's first components, and whether the row has both; or `MissingQuantityError`."""
+    """Estimate − truth of a quantity's first components, and whether the row has both; or UnusableInput."""
     if not hasattr(output.mean, quantity):
-        raise MissingQuantityError(f"the tracker's state is a {type(output.mean).__name__}, which has no {quantity}")
+        raise UnusableInput(f"the tracker's state is a {type(output.mean).__name__}, which has no {quantity}")
     true, known = truth[quantity]
     if len(true) < dimensions:
-        raise MissingQuantityError(
+        raise UnusableInput(
             f"the truth of the {quantity} has {len(true)} components, and {dimensions} are judged; give the truth its "
             "height, or use a tracker over the floor"
         )
@@ -180,8 +165,8 @@ def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> t
 
 def normalised_error(
     output: Output, truth: Truth, quantity: str, dimensions: int, weights: Sequence[float] = (1.0, 1.0, 1.0)
-) -> NormalisedError:
-    """The error of a quantity's first components normalised by the reported covariance.
+) -> tuple[Scalar, Scalar, Scalar]:
+    """NEES and log det S (B,) of a quantity's first components, and whether the row is scored.
 
     By a Cholesky factor over scalars; NaN where the covariance of a scored row is not positive definite. `weights`: of
     the components in NEES and log det S, each given those before it.
@@ -198,7 +183,7 @@ def normalised_error(
         parts.append((jnp.where(scored, e, 0.0) - total(L[i, j] * parts[j] for j in range(i))) / pivot)
     weighted = list(zip(weights, parts, strict=False))
     logs = [w * jnp.log(L[i, i]) for i, (w, _) in enumerate(weighted)]
-    return NormalisedError(total(w * p * p for w, p in weighted), 2.0 * total(logs), scored)
+    return total(w * p * p for w, p in weighted), 2.0 * total(logs), scored
 
 
 def _covariance_of(output: Output, quantity: str, dimensions: int) -> dict[tuple[int, int], Scalar]:
@@ -219,20 +204,16 @@ Noise levels that act on the height alone are fitted to it all the same; those t
 plane's two coordinates, four times as heavy.
 """
 
-OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxyType(
-    {
-        "nll": lambda quantity, dimensions: NegativeLogLikelihood(),
-        "rmse": RootMeanSquareError,
-        "state-nll": lambda quantity, dimensions: StateLogLikelihood(
-            quantity, dimensions, HEIGHT_WEIGHT if dimensions == 3 else 1.0
-        ),
-    }
-)
+OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = {
+    "nll": lambda quantity, dimensions: NegativeLogLikelihood(),
+    "rmse": RootMeanSquareError,
+    "state-nll": lambda quantity, d: StateLogLikelihood(quantity, d, HEIGHT_WEIGHT if d == 3 else 1.0),
+}
 """Constructors by name, each of a quantity and its number of components."""
 
 
 def parse_objective(name: str, quantity: str = "position", dimensions: int = 2) -> AbstractObjective:
-    """The objective of this name; raises ValueError for an unknown one."""
+    """The objective of this name; raises UnusableInput for an unknown one."""
     if name not in OBJECTIVES:
-        raise ValueError(f"'{name}' is no objective; expected one of {', '.join(OBJECTIVES)}")
+        raise UnusableInput(f"objective {name}: '{name}' is no objective; expected one of {', '.join(OBJECTIVES)}")
     return OBJECTIVES[name](quantity, dimensions)

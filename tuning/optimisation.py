@@ -266,11 +266,7 @@ class MultiStart:
         return self.problem.filter_runs + (0 if self.held_out is None else self.held_out.filter_runs)
 
     def _duplicates(
-        self,
-        vectors: Float[np.ndarray, "S p"],
-        gradients: Float[np.ndarray, "S p"],
-        best_vectors: Float[np.ndarray, "S p"],
-        best_scores: Float[np.ndarray, " S"],
+        self, vectors: Vectors, gradients: Vectors, best_vectors: Vectors, best_scores: Float[np.ndarray, " S"]
     ) -> Bool[np.ndarray, " S"]:
         """The starts (S,) that have come near the best point of a better one; numbers without effect are left out."""
         if self.problem.stochastic:

@@ -287,11 +287,7 @@ class Problem:
         return self.discount * self.objective.nats_per_unit(sums)
 
     def compute(
-        self,
-        function: Callable[[Point, Batch], Any],
-        blocks: Sequence[Vectors],
-        reduced: Callable[[Any, Batch], Any],
-        realisation: int = 0,
+        self, function: Callable[..., Any], blocks: Sequence[Vectors], reduced: Callable[..., Any], realisation: int = 0
     ) -> list[list[Any]]:
         """`reduced(function(point, chunk), chunk)` of each chunk, at each block of vectors (S, p).
 

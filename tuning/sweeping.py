@@ -17,7 +17,7 @@ from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import TIED, Parameter, select_parameters
-from trackwright.tuning.problem import Problem
+from trackwright.tuning.problem import Problem, Vectors
 
 POINTS_PER_REPORT = 32  # grid points between two progress reports
 
@@ -131,10 +131,7 @@ def sweep(
 
 
 def comparable_values(
-    problem: Problem,
-    points: Float[np.ndarray, "S p"],
-    realisation: int = 0,
-    report: Callable[[int], None] = lambda points: None,
+    problem: Problem, points: Vectors, realisation: int = 0, report: Callable[[int], None] = lambda points: None
 ) -> Float[np.ndarray, " S"]:
     """The objective (S,) at unconstrained vectors (S, p), without derivatives, for one realisation of random numbers.
 

@@ -35,6 +35,7 @@ MAX_DISTANCE = 1.0  # standard deviations between a point and the optimum beyond
 MIN_SLOPE_NATS = 1.0  # change of a likelihood, nats per factor of e, from which on it depends on a parameter
 LARGE_SIGMA = 1.0  # deviation of an unconstrained number from which it is hardly determined: a factor of e either way
 Interval = tuple[np.ndarray, np.ndarray]  # lowest and highest value
+Mask = Bool[np.ndarray, " p"]  # of numbers
 
 By = Literal["curvature", "scatter", "either"]
 """Source of an interval: the posterior, the sandwich, or the wider of the two."""
@@ -108,10 +109,7 @@ class Uncertainty:
 
 
 def uncertainty_at(
-    problem: Problem,
-    optimum: Optimum,
-    at_bound: Bool[np.ndarray, " p"] | None = None,
-    kept: Bool[np.ndarray, " p"] | None = None,
+    problem: Problem, optimum: Optimum, at_bound: Mask | None = None, kept: Mask | None = None
 ) -> Uncertainty:
     """The uncertainty of an optimum with the parameters `at_bound` (p,), and those `kept` (p,) at their start, fixed.
 

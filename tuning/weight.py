@@ -138,9 +138,8 @@ class WindowSums(NamedTuple):
 def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tuple[int, float]:
     """The rows that count at the vector (p,), and how many of them carry the information of one.
 
-    1 for white errors. Windows are lengthened until the inflation is flat, or the recordings are too short for
-    longer ones; it is extrapolated in the inverse of the length, which removes most of what correlation beyond a window
-    adds.
+    1 for white errors. Windows are lengthened until the inflation is flat, or the recordings are too short for longer
+    ones; it is extrapolated in the inverse of the length, which removes most of what correlation beyond a window adds.
     """
     # Of few trajectories by the program that the starts were compared with.
     function, reduced = (plain_rows, _sums_of_rows) if problem.few else (_squares_of_rows, _sums)

@@ -184,7 +184,9 @@ def data():
     """Segments of nine vehicles in two recordings, of different lengths."""
     folders = [worlds.agv(n=n, seed=n, rows=rows).folder() for n, rows in ((5, 90), (4, 60))]
     named = build("fix-kf", folders)
-    return fit_data(named.only_batch(folders), "state-nll", segment_rows=25)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("trackwright.tuning.data.SEGMENT_ROWS", 25)
+        return fit_data(named.only_batch(folders), "state-nll")
 
 
 def test_a_checkpoint_tells_recordings_that_differ_in_one_number_apart(data):
