@@ -124,10 +124,8 @@ class _Catalogue(Mapping[str, "TrackerSpec"]):
 @functools.cache
 def _completed(name: str, entry: Entry) -> TrackerSpec:
     """What its module has of the tracker, with what lists say of it."""
-    spec: TrackerSpec = import_module(f"trackwright.trackers.{entry.module}").TRACKERS[name](
-        about=entry.about, table=entry.table
-    )
-    return spec
+    module = import_module(f"trackwright.trackers.{entry.module}")
+    return module.TRACKERS[name](about=entry.about, table=entry.table)  # type: ignore[no-any-return]
 
 
 TRACKERS: Mapping[str, TrackerSpec] = _Catalogue()

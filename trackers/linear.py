@@ -239,9 +239,8 @@ class _Prior(AbstractStart):
         return jnp.zeros_like(row.dt)
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
-        return Gaussian(
-            _state(self.parts, [x + candidate for x in self.mean]), tuple(x + candidate for x in self.upper)
-        )
+        mean, upper = ([x + candidate for x in numbers] for numbers in (self.mean, self.upper))
+        return Gaussian(_state(self.parts, mean), tuple(upper))
 
 
 def _tracker(

@@ -115,10 +115,8 @@ def check_at_rest(folders: Sequence[RecordingFolder]) -> None:
     for number, folder in enumerate(folders):
         for other in folders[:number]:
             a, b = folder.rig, other.rig
-            moved = [
-                f"station '{n}'" for n in a.stations if n in b.stations and has_turned(b.stations[n], a.stations[n])
-            ]
-            moved += [f"anchor '{n}'" for n in a.anchors if n in b.anchors and has_moved(b.anchors[n], a.anchors[n])]
+            moved = [f"station '{n}'" for n, now in a.stations.items() if has_turned(b.stations.get(n), now)]
+            moved += [f"anchor '{n}'" for n, now in a.anchors.items() if has_moved(b.anchors.get(n), now)]
             if moved:
                 raise UnusableInput(
                     f"{folder.path or folder.name}: {moved[0]} stands elsewhere than in {other.path or other.name}; "
@@ -142,9 +140,7 @@ def _lacking(folders: Sequence[RecordingFolder]) -> str:
 
 
 def _stations(pairs: Mapping[str, Pairs]) -> dict[str, StationCalibration]:
-    spans = {
-        name: np.stack([values.true.min(axis=0), values.true.max(axis=0)], axis=1) for name, values in pairs.items()
-    }
+    spans = {name: np.stack([of.true.min(axis=0), of.true.max(axis=0)], axis=1) for name, of in pairs.items()}
     unknown = Regression(ANGLE_PRIOR[0], np.diag(ANGLE_PRIOR[1] ** 2), 0.0)
     angles: list[dict[str, Regression]] = []
     for k in range(2):
@@ -161,9 +157,8 @@ def _stations(pairs: Mapping[str, Pairs]) -> dict[str, StationCalibration]:
 def _rows(pairs: Pairs, factors: np.ndarray, column: int) -> Rows:
     """The rows of a regression: those with a measured value."""
     seen = np.isfinite(pairs.measured[:, column])
-    return Rows(
-        factors[seen], pairs.measured[seen, column], *(c[seen] for c in (pairs.recording, pairs.piece, pairs.place))
-    )
+    groups = (numbers[seen] for numbers in (pairs.recording, pairs.piece, pairs.place))
+    return Rows(factors[seen], pairs.measured[seen, column], *groups)
 
 
 def _increasing(regression: Regression, spans: np.ndarray, k: int) -> Regression:
@@ -210,10 +205,7 @@ def _tag_biases(
     rows: Mapping[str, Rows], fitted: Mapping[str, Regression], number: Numbers, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Biases of tags (count,), relative to their mean, and their standard deviations, from errors at all anchors."""
-    left = [
-        of_anchor._replace(x=np.ones((len(of_anchor.y), 1)), y=of_anchor.y - of_anchor.x @ fitted[name].terms)
-        for name, of_anchor in rows.items()
-    ]
+    left = [r._replace(x=np.ones((len(r.y), 1)), y=r.y - r.x @ fitted[name].terms) for name, r in rows.items()]
     joined = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
     tag = np.concatenate([number[name] for name in rows])
     of_tags = {str(k): Rows(*(column[tag == k] for column in joined)) for k in range(count)}
@@ -294,9 +286,7 @@ def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind) -> dict[st
         if kind.name in folder.tables:
             for name, pairs in _of_folder(folder, number, kind):
                 parts.setdefault(name, []).append(pairs)
-    joined = {
-        name: Pairs(*map(np.concatenate, zip(*by_folder, strict=True))) for name, by_folder in sorted(parts.items())
-    }
+    joined = {name: Pairs(*map(np.concatenate, zip(*of, strict=True))) for name, of in sorted(parts.items())}
     return {name: pairs for name, pairs in joined.items() if np.isfinite(pairs.measured).sum(axis=0).max() >= MIN_ROWS}
 
 

@@ -90,10 +90,8 @@ def _fit(
         parts = np.add.reduceat(curved * weighted[:, :, None] * x[:, None, :], begins)
         A = parts.sum(axis=0)
         H = A / effect + precision
-        B = sum(_scatter(c, scores, parts / effect, H) for c in clusterings) - _scatter(
-            np.arange(len(begins)), scores, parts / effect, H
-        )
-        B = _positive(B)
+        alone = _scatter(np.arange(len(begins)), scores, parts / effect, H)
+        B = _positive(sum(_scatter(c, scores, parts / effect, H) for c in clusterings) - alone)
         effect = max(float(np.trace(np.linalg.solve(A + precision, B))) / len(mean), 1e-3)
         if pooled is not None:
             spare = max(clusters - len(mean), 0.0)

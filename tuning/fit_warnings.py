@@ -38,10 +38,8 @@ def cautions(tracker: AbstractTracker, parameters: Sequence[Parameter], objectiv
         if not all(np.array_equal(value, values[0]) for value in values):
             yield f"{parameter.label}: tied numbers with different values all start at the first"
         if parameter.label.endswith(".latency") and len(tracker.nis_sensors) == 1 and not objective.needs_truth:
-            yield (
-                f"{parameter.label}: fixes alone do not determine their latency; give recordings with truth and "
-                "objective rmse"
-            )
+            fix = "give recordings with truth and objective rmse"
+            yield f"{parameter.label}: fixes alone do not determine their latency; {fix}"
 
 
 def identifiability_issues(

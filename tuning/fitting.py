@@ -320,10 +320,8 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
     moved = np.flatnonzero(np.any(np.diff(vectors, axis=0) != 0, axis=1))
     last = moved[-1] + 2 if len(moved) else 1
     # Vector by vector: programs for every number of steps would take longer to compile.
-    return [
-        Step(float(state.past_values[k, start]), float(state.past_norms[k, start]), by_label(parameters, vectors[k]))
-        for k in range(last)
-    ]
+    steps = zip(state.past_values[:last, start], state.past_norms[:last, start], vectors[:last], strict=True)
+    return [Step(float(value), float(norm), by_label(parameters, vector)) for value, norm, vector in steps]
 
 
 MOST_FOLDS = 10  # fits at most: of more recordings several are left out at once
@@ -354,12 +352,8 @@ def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
     hessian, free = uncertainty.optimum.hessian, ~uncertainty.at_bound
     vectors, _ = refit(result.problem, starts, hessian, free, weights, LEFT_OUT_ROUNDS)
     values = [by_label(result.parameters, np.clip(vector, *result.limits)) for vector in vectors]
-    return {
-        name: of_fold
-        for fold, of_fold, others in zip(folds, values, weights, strict=True)
-        for name in fold
-        if others.any()
-    }
+    fitted = zip(folds, values, weights, strict=True)
+    return {name: of_fold for fold, of_fold, others in fitted for name in fold if others.any()}
 
 
 BLOCKS = 4  # blocks of time of a single recording

@@ -360,13 +360,8 @@ def coarse_grid(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]
         if isinstance(parameter.example, Scale | Covariance):
             part = motion if role_of(parameter.example) in ("process noise", "bias noise") else others
             part[np.ravel(raised)] = 1.0
-    steps = (0.0, -GRID_STEP, GRID_STEP)
-    grid = [
-        vector + a * motion + b * others
-        for a in (steps if motion.any() else steps[:1])
-        for b in (steps if others.any() else steps[:1])
-    ]
-    return np.stack(grid)
+    first, second = ((0.0, -GRID_STEP, GRID_STEP) if part.any() else (0.0,) for part in (motion, others))
+    return np.stack([vector + a * motion + b * others for a in first for b in second])
 
 
 NEWTON_STEPS = 4

@@ -68,11 +68,8 @@ def fitted(tracker: NamedTracker, recording: RecordingFolder) -> OwnLevels:
         against = f"errors of the readings that last are {max(bias) / max(noise):.1f} times those that do not: {MOTION}"
     if against:
         return OwnLevels(tracker, f"{recording.name}: levels stay: {against}")
-    moved = [
-        f"{name} {_short(before[name].value)} → {_short(now[name].value)} {now[name].unit}".rstrip()
-        for p in result.parameters
-        for name in p.names
-    ]
+    names = [name for p in result.parameters for name in p.names]
+    moved = [f"{n} {_short(before[n].value)} → {_short(now[n].value)} {now[n].unit}".rstrip() for n in names]
     return OwnLevels(result.tracker, f"{recording.name}: fitted to its readings: {', '.join(moved)}")
 
 

@@ -102,10 +102,8 @@ def rows_of_runs(pairs: Sequence[tuple[Point, Batch]]) -> list[tuple[Float[np.nd
         tracker = tracker.for_positions() if point.objective.of_position else tracker
         tracked.append(((tracker, None), batch._replace(truth={})))
     runs = run_chunks(outputs, tracked)
-    return [
-        (np.asarray(called(_scored, point.objective, (run, batch)))[None],)
-        for (run, _), (point, batch) in zip(runs, pairs, strict=True)
-    ]
+    tracks = ((point.objective, (run, batch)) for (run, _), (point, batch) in zip(runs, pairs, strict=True))
+    return [(np.asarray(called(_scored, *track))[None],) for track in tracks]
 
 
 def _scored(objective: AbstractObjective, run: tuple[Output, Batch]) -> Float[Array, "k T B"]:

@@ -253,9 +253,8 @@ def influence(
     From terms (k, n) and their derivatives (k, p, n); exact, since the objective is a function of weighted sums.
     """
     first, second = (np.asarray(x, float) for x in _derivatives(objective, jnp.asarray(terms.sum(axis=-1))))
-    return np.einsum("k,kpn->np", first, term_gradients) + np.einsum(
-        "kn,kl,lp->np", terms, second, term_gradients.sum(axis=-1)
-    )
+    total = term_gradients.sum(axis=-1)
+    return np.einsum("k,kpn->np", first, term_gradients) + np.einsum("kn,kl,lp->np", terms, second, total)
 
 
 @eqx.filter_jit
@@ -294,14 +293,12 @@ def refit(
         trial[:, free] += step
         evaluated = problem.evaluate(trial, weights)
         common = used & evaluated.used
-        before, after = (
-            problem.values_over(common * count, v, t) for v, t in ((here, terms), (trial, evaluated.terms))
-        )
+        before = problem.values_over(common * count, here, terms)
+        after = problem.values_over(common * count, trial, evaluated.terms)
         with np.errstate(invalid="ignore"):
             better = (after < before) & evaluated.finite
-        inverses = np.where(
-            better[:, None, None], _updated(inverses, step, evaluated.gradients[:, free] - gradients), inverses
-        )
+        updated = _updated(inverses, step, evaluated.gradients[:, free] - gradients)
+        inverses = np.where(better[:, None, None], updated, inverses)
         here = np.where(better[:, None], trial, here)
         terms[better], used[better] = evaluated.terms[better], evaluated.used[better]
         gradients = np.where(better[:, None], evaluated.gradients[:, free], gradients)

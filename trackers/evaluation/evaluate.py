@@ -214,10 +214,8 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
     """
     sentences, losses = list[str](), overall["losses"]
     if losses:
-        suitable = "With a suitable model a track is lost only where readings are missing."
-        sentences.append(
-            f"Tracks were lost {counted(losses, 'time')}, for {overall['lost_s']:.3g} s in all. {suitable}"
-        )
+        lost = f"Tracks were lost {counted(losses, 'time')}, for {overall['lost_s']:.3g} s in all."
+        sentences.append(f"{lost} With a suitable model a track is lost only where readings are missing.")
     if losses and max(losses / overall["n_rows"], overall["lost_fraction"]) > LOST:
         return sentences
     if overall["coverage_95"] is None:
