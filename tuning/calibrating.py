@@ -302,7 +302,8 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
     positions = np.column_stack([positions[:, :2], np.where(np.isnan(positions[:, 2]), heights, positions[:, 2])])
     known = (status == TruthStatus.SCORED) & np.isfinite(positions).all(axis=1) & np.isfinite(raw.values).any(axis=1)
     piece = independent_pieces(rows.times, positions, rows.starts, known) + MOST_PIECES * number
-    place = _places(positions)
+    x, y = np.floor(np.nan_to_num(positions[:, :2]) / PLACE_M).astype(int).T
+    place = x * 100003 + y
     tag = rows.of_each(np.array(rows.tags))
     true = measured.predicted(positions)
     # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
@@ -321,12 +322,6 @@ def end_factors(pairs: Pairs, anchor: Point) -> np.ndarray:
     x, y = away[:, :2].T / np.maximum(np.linalg.norm(away, axis=1), 1e-6)
     cosine, sine = np.cos(pairs.heading), np.sin(pairs.heading)
     return np.nan_to_num(np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1))
-
-
-def _places(positions: np.ndarray) -> np.ndarray:
-    """The number of each row's square of the floor (N,)."""
-    x, y = np.floor(np.nan_to_num(positions[:, :2]) / PLACE_M).astype(int).T
-    return x * 100003 + y
 
 
 def visits_of(pairs: Pairs, station: StationCalibration) -> tuple[np.ndarray, np.ndarray]:

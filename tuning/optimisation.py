@@ -232,7 +232,9 @@ class MultiStart:
         converged = self.optimiser.monotone & (gain < self._min_gains(values, terms, used))
         best_scores = np.where(better, scores, state.best_scores)
         best_vectors = np.where(better[:, None], vectors, state.best_vectors)
-        ended = converged | (stale >= self._patience) | self._duplicates(vectors, gradients, best_vectors, best_scores)
+        patient = self.problem.stochastic or self.optimiser.monotone
+        patience = self.max_stale if self.held_out is not None else np.inf if patient else PATIENCE
+        ended = converged | (stale >= patience) | self._duplicates(vectors, gradients, best_vectors, best_scores)
         return self._with_trace(
             state._replace(
                 number=np.array(number),
@@ -294,13 +296,6 @@ class MultiStart:
             past_vectors=np.concatenate([state.past_vectors, state.vectors[None]]),
             filter_runs=np.array(self.filter_runs),
         )
-
-    @property
-    def _patience(self) -> float:
-        """Steps without a gain after which a start ends."""
-        if self.held_out is not None:
-            return self.max_stale
-        return np.inf if self.problem.stochastic or self.optimiser.monotone else PATIENCE
 
 
 def _here(found: Evaluation | FitState) -> dict[str, np.ndarray]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Num, Shaped, UInt32
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter
-from trackwright.trackers.core.model.covariance import FEW, few
+from trackwright.trackers.core.model.covariance import few
 from trackwright.trackers.core.run.chunks import (
     CHUNK,
     as_dtype,
@@ -41,19 +40,6 @@ Values = Float[np.ndarray, " many"]
 MAX_VECTORS = 8  # most vectors in one compiled call: with some dozens of trajectories, eight cost little more than one
 MAX_GRADIENT_RATIO = 1e3  # size of a trajectory's gradient, relative to the median, above which it is excluded
 BESIDE = 2  # numbers of a row beside the terms of the objective: its `AbstractObjective.squares`
-
-
-@dataclass(frozen=True)
-class Pieces:
-    """The `pieces` of all batches, made anew whenever they are looked through."""
-
-    batches: Sequence[Batch]
-    chunk: int = CHUNK
-    most: int = FEW
-
-    def __iter__(self) -> Iterator[Batch]:
-        for batch in self.batches:
-            yield from pieces(batch, self.chunk, self.most)
 
 
 class Point(eqx.Module):
@@ -201,7 +187,7 @@ class Problem:
         start = jnp.asarray(flatten(self.parameters)[None], dtype)
         self.start = Point(self.tracker, self.objective, tuple(self.parameters), start)
         most = most_few(self.tracker, gradient=True)
-        self.chunks = list(placed(Pieces(batches, chunk, most)))
+        self.chunks = list(placed(part for batch in batches for part in pieces(batch, chunk, most)))
         self.rows: list[Int[np.ndarray, " B"]] = [np.asarray(part.valid).sum(axis=0) for part in self.chunks]
         of_pieces = [piece_size(batch.size, len(batch.dt), chunk, most) for batch in batches]
         self.sizes = [size * -(-batch.size // size) for batch, size in zip(batches, of_pieces, strict=True)]
@@ -215,7 +201,8 @@ class Problem:
         # row.
         fitting = CHUNK // (1 << (trajectories - 1).bit_length())
         self.few, self.stochastic = few(trajectories), is_stochastic(self.tracker)
-        alone = self.few or has_particles(self.tracker) or not self.parameters
+        has_particles = isinstance(self.tracker, Tracker) and self.tracker.filter.has_particle_axis
+        alone = self.few or has_particles or not self.parameters
         self.vectors_per_call = 1 if alone else max(1, min(MAX_VECTORS, fitting))
 
     def evaluate(
@@ -307,30 +294,20 @@ class Problem:
         self.filter_runs += size * int(self.valid.sum())
         padded = np.concatenate([vectors, np.repeat(vectors[-1:], -size % width, axis=0)])
         blocks = padded.reshape(len(padded) // width, width, vectors.shape[1])
-        reduced = _summed_rows if self.few else _sums
+
+        def summed(results: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
+            """The sums; those of rows without the numbers beside the terms."""
+            return tuple(np.sum(x[:, :-BESIDE], axis=-2, dtype=float) for x in results) if self.few else results
+
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
-            for of_part in self.compute(function, list(blocks), reduced, realisation)
+            for of_part in self.compute(function, list(blocks), summed, realisation)
         ]
 
 
 def is_stochastic(tracker: AbstractTracker) -> bool:
     """Whether the tracker uses random numbers."""
     return isinstance(getattr(tracker, "filter", None), AbstractParticleFilter)
-
-
-def has_particles(tracker: AbstractTracker) -> bool:
-    """Whether the filter's belief has an axis of particles or grid cells."""
-    return isinstance(tracker, Tracker) and tracker.filter.has_particle_axis
-
-
-def _sums(sums: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
-    return sums
-
-
-def _summed_rows(rows: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
-    """The sums of the rows of few trajectories, without the numbers beside the terms."""
-    return tuple(np.sum(x[:, :-BESIDE], axis=-2, dtype=float) for x in rows)
 
 
 @jax.jit

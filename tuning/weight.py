@@ -142,7 +142,8 @@ def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tup
     ones; it is extrapolated in the inverse of the length, which removes most of what correlation beyond a window adds.
     """
     # Of few trajectories by the program that the starts were compared with.
-    function, reduced = (plain_rows, _sums_of_rows) if problem.few else (_squares_of_rows, _sums)
+    of_rows = plain_rows, lambda rows, chunk: _sums(rows[0][0, -BESIDE:], chunk)
+    function, reduced = of_rows if problem.few else (_squares_of_rows, _sums)
     by_chunk = [chunk_sums for (chunk_sums,) in problem.compute(function, [np.atleast_2d(vector)], reduced)]
     sums = WindowSums(*(np.sum(np.stack(parts), axis=0) for parts in zip(*by_chunk, strict=True)))
     if sums.rows < MIN_WINDOWS:
@@ -172,11 +173,6 @@ def window_sums(
         sums, sizes = np.add.reduceat(ratios, first), np.diff(np.append(first, len(times)))
         of_windows[:, k] = len(first), sums @ sums, sums @ sizes, sizes @ sizes
     return WindowSums(len(times), float(ratios.sum()), float(ratios @ ratios), of_windows)
-
-
-def _sums_of_rows(results: Any, chunk: Batch) -> WindowSums:
-    """As `_sums`, from `plain_rows`."""
-    return _sums(results[0][0, -BESIDE:], chunk)
 
 
 def _sums(results: Any, chunk: Batch) -> WindowSums:
