@@ -35,7 +35,7 @@ MAX_DISTANCE = 1.0  # standard deviations between a point and the optimum beyond
 MIN_SLOPE_NATS = 1.0  # change of a likelihood, nats per factor of e, from which on it depends on a parameter
 LARGE_SIGMA = 1.0  # deviation of an unconstrained number from which it is hardly determined: a factor of e either way
 Interval = tuple[np.ndarray, np.ndarray]  # lowest and highest value
-Mask = Bool[np.ndarray, " p"]  # of numbers
+Mask, Square = Bool[np.ndarray, " p"], Float[np.ndarray, "p p"]  # of p numbers
 
 By = Literal["curvature", "scatter", "either"]
 """Source of an interval: the posterior, the sandwich, or the wider of the two."""
@@ -175,9 +175,7 @@ def unidentifiable(term_gradients: Float[np.ndarray, "*many p n"]) -> Bool[np.nd
     return np.all((each == 0) | ~finite, axis=1) & finite.any(axis=1)
 
 
-def determined(
-    hessian: Float[np.ndarray, "p p"], free: Bool[np.ndarray, " p"] | None = None
-) -> tuple[Float[np.ndarray, "p m"], Float[np.ndarray, "p p"], Bool[np.ndarray, " p"]]:
+def determined(hessian: Square, free: Mask | None = None) -> tuple[Float[np.ndarray, "p m"], Square, Mask]:
     """The undetermined directions (p, m), the inverse Hessian along all others, and the parameters (p,) in the former.
 
     Undetermined: without positive curvature, up to rounding; all directions where the Hessian isn't finite. Only the
