@@ -89,9 +89,8 @@ def finished_cautions(
     if np.max(np.abs(end - start), initial=0.0) < MOVED:
         where = " on the held-out recordings" if selected else ""
         texts.append(f"the fit did not move from its starting values: no other point is better{where}")
-    for (parameter, first), (_, last) in zip(
-        split(problem.parameters, start), split(problem.parameters, end), strict=True
-    ):
+    ends = zip(split(problem.parameters, start), split(problem.parameters, end), strict=True)
+    for (parameter, first), (_, last) in ends:
         fell = isinstance(parameter.example, Scale) and np.min(last - first) < math.log(COLLAPSED)
         if fell and not _determined(uncertainty, parameter):
             low = f"{float(np.exp(last.min())):.3g} {parameter.example.unit}"
