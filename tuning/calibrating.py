@@ -41,7 +41,8 @@ from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 from trackwright.trackers.recordings.tracks import known_heights
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
-Stations, Numbers = Mapping[str, StationCalibration], Mapping[str, np.ndarray]  # by station; by anchor
+Stations = Mapping[str, StationCalibration]
+Numbers = Mapping[str, np.ndarray]  # by station or anchor
 
 LEAST_SLOPE = 0.2  # least slope of a calibrated angle or range, so that each reading has one true value
 TAG_ROUNDS = 3  # how often the biases of anchors and of tags are fitted in turn

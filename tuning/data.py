@@ -247,9 +247,12 @@ def _numbered(rows: Sequence[Batch]) -> list[list[str]]:
 
 def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:
     """Recordings in arrays as batches; raises UnusableInput for anything else, and where the tracker lacks an input."""
-    several = isinstance(recordings, (tuple, list)) and not isinstance(recordings, Batch)
-    if several and recordings and all(isinstance(x, Batch) for x in recordings):
-        return [check_input(tracker, batch, "fit") for batch in recordings]
+    if isinstance(recordings, (tuple, list)) and not isinstance(recordings, Batch):
+        batches = [x for x in recordings if isinstance(x, Batch)]
+        if batches and len(batches) == len(recordings):
+            for batch in batches:
+                check_input(tracker, batch, "fit")
+            return batches
     checked = check_input(tracker, recordings, "fit")
     if isinstance(checked, Batch):
         return [checked]

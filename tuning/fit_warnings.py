@@ -13,11 +13,12 @@ from trackwright.trackers.core.errors import listed
 from trackwright.trackers.core.model.tunable import Scale, tunables
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.parameters import Parameter, Vector, component_names, split
+from trackwright.tuning.parameters import Parameter, component_names, split
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import MIN_TRAJECTORIES, Interval, Uncertainty, loose_groups, unidentifiable, unused
 from trackwright.tuning.weight import rows_and_inflation
 
+Point = Float[np.ndarray, " p"]  # unconstrained numbers
 COLLAPSED = 1e-3  # part of its starting value below which a noise level has collapsed
 MOVED = 1e-6  # change in unconstrained coordinates below which a fit has not moved
 INFLATION = 2.0  # rows with the information of one from which on errors are named as correlated
@@ -82,7 +83,7 @@ def identifiability_issues(
 
 
 def finished_cautions(
-    problem: Problem, start: Vector, end: Vector, uncertainty: Uncertainty | None, converged: bool, selected: bool
+    problem: Problem, start: Point, end: Point, uncertainty: Uncertainty | None, converged: bool, selected: bool
 ) -> list[str]:
     """Clauses on a finished fit, as in `FitResult.cautions`. For a likelihood this runs the filter once more."""
     texts = []

@@ -35,7 +35,8 @@ MAX_DISTANCE = 1.0  # standard deviations between a point and the optimum beyond
 MIN_SLOPE_NATS = 1.0  # change of a likelihood, nats per factor of e, from which on it depends on a parameter
 LARGE_SIGMA = 1.0  # deviation of an unconstrained number from which it is hardly determined: a factor of e either way
 Interval = tuple[np.ndarray, np.ndarray]  # lowest and highest value
-Mask, Square = Bool[np.ndarray, " p"], Float[np.ndarray, "p p"]  # of p numbers
+Mask = Bool[np.ndarray, " p"]  # which of p numbers
+Square = Float[np.ndarray, "p p"]
 
 By = Literal["curvature", "scatter", "either"]
 """Source of an interval: the posterior, the sandwich, or the wider of the two."""
