@@ -87,7 +87,7 @@ class NegativeLogLikelihood(AbstractObjective):
         return float(sums[1])
 
 
-class _OfErrors(AbstractObjective):
+class AbstractErrorObjective(AbstractObjective):
     """An objective of the errors of `quantity`, a vector field of the state, in its first `dimensions` components."""
 
     quantity: str = eqx.field(static=True, default="position")
@@ -100,7 +100,7 @@ class _OfErrors(AbstractObjective):
         return self.quantity == "position" and self.dimensions <= 2
 
 
-class RootMeanSquareError(_OfErrors):
+class RootMeanSquareError(AbstractErrorObjective):
     """The root mean square error of a quantity of the state, in the quantity's unit.
 
     `quantity`: a vector field of the state, such as `position`; `dimensions`: the number of its components that count.
@@ -117,7 +117,7 @@ class RootMeanSquareError(_OfErrors):
         return jnp.sqrt(sums[0] / sums[1])
 
 
-class StateLogLikelihood(_OfErrors):
+class StateLogLikelihood(AbstractErrorObjective):
     """The mean negative log density of the truth under each row's mean and covariance, nats per row.
 
     Fields as in `RootMeanSquareError`. Unlike an RMSE it penalises overconfident and underconfident covariances. Errors

@@ -266,6 +266,7 @@ class Prior(NamedTuple):
 
     mean: Float[np.ndarray, " p"]
     precision: Float[np.ndarray, " p"]
+    dof: float = DOF
 
     @classmethod
     def of(cls, parameters: Sequence[Parameter], kind: PriorKind = "sites") -> Prior:
@@ -279,13 +280,13 @@ class Prior(NamedTuple):
     def penalty(self, vectors: Float[np.ndarray, "*S p"]) -> Penalty:
         """The penalty at vectors (S, p)."""
         away = np.atleast_2d(np.asarray(vectors, float)) - self.mean
-        values = 0.5 * (DOF + 1) * np.log1p(away**2 * self.precision / DOF).sum(axis=1)
+        values = 0.5 * (self.dof + 1) * np.log1p(away**2 * self.precision / self.dof).sum(axis=1)
         return Penalty(values, away * self.weights(vectors))
 
     def weights(self, vectors: Float[np.ndarray, "*S p"]) -> Float[np.ndarray, "S p"]:
         """The precisions of normal distributions with the same slopes at vectors (S, p)."""
         away = np.atleast_2d(np.asarray(vectors, float)) - self.mean
-        return (DOF + 1) * self.precision / (DOF + away**2 * self.precision)
+        return (self.dof + 1) * self.precision / (self.dof + away**2 * self.precision)
 
 
 def _spread(parameter: Parameter) -> float:
