@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import trackwright as tw
+from trackwright.trackers.conformance.trackers import tracker_checks
 from trackwright.trackers.core.model.motion import Placed
 from trackwright.trackers.core.model.sensor import LOG_2PI
 from trackwright.trackers.core.run.scan import Output
@@ -188,7 +189,7 @@ FAULTS = {
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_found_by_its_check(name):
     tracker, message = FAULTS[name]
-    check = next(c for c in tw.tracker_checks(tracker(), _recordings()) if str(c) == name.partition(":")[0])
+    check = next(c for c in tracker_checks(tracker(), _recordings()) if str(c) == name.partition(":")[0])
     with pytest.raises(tw.BrokenContract, match=message):
         check()
 
