@@ -77,8 +77,8 @@ BENCH ?= programs commands studies
 bench: env
 	for name in $(BENCH); do $(BIN)/python -m trackwright.experiments.lab $$name || exit; done
 
-# Real recordings, levels without the judged site, values fitted to other recordings and NIS; delete a table to measure it anew.
-VALIDATION ?= real-recordings levels nis generalisation
+# Real recordings, levels without the judged site and values fitted to other recordings; delete a table to measure it anew.
+VALIDATION ?= real-recordings levels generalisation
 validation: env
 	for name in $(VALIDATION); do $(BIN)/python -m trackwright.experiments.lab $$name || exit; done
 

@@ -26,11 +26,33 @@ SPACINGS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 SIGMA_P, SIGMA_R, BIAS, SECONDS, WARM_UP_S, REST_M, LEVEL = 0.25, 0.03, 0.05, 10.0, 2.0, 1e-3, 0.95
 
 
+def visits(keys, times, points, speed=0.3, rest_s=1.0):
+    """Paths (n, T, 3), m, of random visits of `points` (K, 3), a second at rest on each, none after itself.
+
+    Motions between points are straight and of minimum jerk (Flash & Hogan 1985), in no less than 0.25 s.
+    """
+    # So many rests exceed the duration, whatever lies between them.
+    count = int(np.ceil((times[-1] - times[0]) / rest_s)) + 1
+    draws = sim.uniforms(sim.stream(keys, "round"), (count + 1,)).astype(float)
+    first = np.minimum((draws[:, :1] * len(points)).astype(int), len(points) - 1)
+    # The index of the next point is 1 to K - 1 higher, modulo K.
+    steps = 1 + np.minimum((draws[:, 1:] * (len(points) - 1)).astype(int), len(points) - 2)
+    stops = points[np.concatenate([first, first + np.cumsum(steps, axis=1)], axis=1) % len(points)]
+    since, motions = times - times[0], np.diff(stops, axis=1)
+    durations = np.maximum(np.sqrt((motions**2).sum(axis=-1)) / speed, 0.25)
+    starts = np.cumsum(rest_s + durations, axis=1) - durations
+    path = np.repeat(stops[:, :1], len(since), axis=1)
+    for k in range(motions.shape[1]):
+        s = np.clip((since - starts[:, k, None]) / durations[:, k, None], 0.0, 1.0)
+        path += (s**3 * (10 - 15 * s + 6 * s**2))[..., None] * motions[:, k, None]
+    return path
+
+
 def bench(ids, seed, spacing):
     """Rounds of the tool with phases, ranges and IMU; the table `points` holds the fastening points."""
     x, y = np.meshgrid(*[(np.arange(3) - 1) * spacing] * 2, indexing="ij")
     points = np.stack([x.ravel(), y.ravel(), np.full(9, 0.15)], axis=1)
-    path = partial(sim.point_to_point, points=points)
+    path = partial(visits, points=points)
     stations = sim.work_station()
     phases = sim.PhaseDraw(stations, path, sigma_p=SIGMA_P, n_points=int(10 * SECONDS)).drawn(ids, seed)
     errors = {"biases": sim.antenna_biases(BIAS), "white": sim.white_noise(SIGMA_R), "turn": sim.round_robin()}

@@ -26,7 +26,6 @@ from trackwright.sim.paths import WORK_VOLUME as WORK_VOLUME
 from trackwright.sim.paths import PathFunction as PathFunction
 from trackwright.sim.paths import hand_motion as hand_motion
 from trackwright.sim.paths import helix as helix
-from trackwright.sim.paths import point_to_point as point_to_point
 from trackwright.sim.ranging import DifferenceDraw as DifferenceDraw
 from trackwright.sim.ranging import Protocol as Protocol
 from trackwright.sim.ranging import RangeDraw as RangeDraw
@@ -65,7 +64,6 @@ __all__ = [
     "WORK_VOLUME",
     "hand_motion",
     "helix",
-    "point_to_point",
     # phases
     "spherical_phases",
     "plane_phases",

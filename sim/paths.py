@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from trackwright.sim.keys import Keys, namespace, normals, repeated, stream, uniforms
+from trackwright.sim.keys import Keys, namespace, normals, repeated, stream
 
 Times = Float[np.ndarray, " T"]
 Positions = Float[Any, "n T 3"]
@@ -68,31 +68,6 @@ def hand_motion(keys: Keys, times: Times, volume: Volume = WORK_VOLUME, *, speed
     xp = namespace(weights)
     noise = xp.matmul(waves.astype(weights.dtype), weights)
     return xp.clip((lower + upper) / 2 + half * xp.tanh(_SQUASH * noise), lower, upper)
-
-
-def point_to_point(
-    keys: Keys, times: Times, points: Float[np.ndarray, "K 3"], *, speed: float = 0.3, rest_s: float = 1.0
-) -> Positions:
-    """Point-to-point hand motion (n, T, 3): random visits of `points` (K, 3), m, K at least 2, at rest on each.
-
-    Each path begins with a rest of `rest_s` seconds; no point follows itself. Motions between points are straight and
-    of minimum jerk (Flash & Hogan 1985), at a mean `speed` in m/s and in no less than 0.25 s.
-    """
-    # So many rests exceed the duration, whatever lies between them.
-    count = int(np.ceil((times[-1] - times[0]) / rest_s)) + 1
-    draws = uniforms(stream(keys, "round"), (count + 1,)).astype(float)
-    first = np.minimum((draws[:, :1] * len(points)).astype(int), len(points) - 1)
-    # The index of the next point is 1 to K - 1 higher, modulo K.
-    steps = 1 + np.minimum((draws[:, 1:] * (len(points) - 1)).astype(int), len(points) - 2)
-    stops = np.asarray(points, float)[np.concatenate([first, first + np.cumsum(steps, axis=1)], axis=1) % len(points)]
-    t, motions = np.asarray(times, float) - times[0], np.diff(stops, axis=1)
-    durations = np.maximum(np.sqrt((motions**2).sum(axis=-1)) / speed, 0.25)
-    starts = np.cumsum(rest_s + durations, axis=1) - durations
-    path = np.repeat(stops[:, :1], len(t), axis=1)
-    for k in range(motions.shape[1]):
-        s = np.clip((t - starts[:, k, None]) / durations[:, k, None], 0.0, 1.0)
-        path += (s**3 * (10 - 15 * s + 6 * s**2))[..., None] * motions[:, k, None]
-    return path
 
 
 WALK_VOLUME = np.array([[0.8, 0.8, 0.8], [4.2, 4.2, 1.6]])

@@ -107,7 +107,7 @@ class SimulatedTables(Tables):
 
     def paths(self, recording: str) -> TruePaths:
         if self._paths is None:
-            self._paths = TruePaths.of_rows(self._arrays["truth"])
+            self._paths = TruePaths(self._arrays["truth"])
         return self._paths
 
 

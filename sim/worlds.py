@@ -281,11 +281,8 @@ def _errors_of_anchors(bias: float, drift: float, hidden: float, sigma: float, l
 
 def _present(levels: Mapping[str, tuple[Any, ...]]) -> dict[str, Corruption]:
     """The corruptions by name, each given as its maker, its level and further numbers, whose level is above zero."""
-    return {name: make(level, *more) for name, (make, level, *more) in levels.items() if _is_present(level)}
-
-
-def _is_present(level: Any) -> bool:
-    return hasattr(level, "aval") or level > 0
+    there = {name: of for name, of in levels.items() if hasattr(of[1], "aval") or of[1] > 0}
+    return {name: make(level, *more) for name, (make, level, *more) in there.items()}
 
 
 @checked

@@ -15,7 +15,7 @@ from trackwright.trackers.core.on_demand import from_file, split_name
 # Lists and shells have the names of trackers, for which neither jax nor polars need be imported.
 if TYPE_CHECKING:
     from trackwright.trackers.recordings.folder import RecordingFolder
-    from trackwright.trackers.recordings.named_tracker import NamedTracker, TrackerSpec
+    from trackwright.trackers.recordings.named_tracker import NamedTracker, Recordings, TrackerSpec
 
 
 class Entry(NamedTuple):
@@ -32,97 +32,73 @@ class Entry(NamedTuple):
         return enough and ("[path]" not in self.table or folder.rig.path_knots is not None)
 
 
-ENTRIES: Mapping[str, Entry] = {
-    # Phases of several stations. No recording: phases of one station alone.
-    "direct": Entry("aoa.rows", "phases", "position from the phases of all stations in one EKF, spherical waves"),
-    "cascade": Entry(
-        "aoa.rows",
-        "phases",
-        "3-D position from phases, a beam tracker per station, then bearings-only fusion (Will et al.)",
-    ),
-    # Phases of a station: ble51-uca, six of them.
-    "beam": Entry("aoa.rows", "phases", "azimuth and elevation per station from phases, EKF (Will et al.)"),
-    "das": Entry(
-        "aoa.rows",
-        "phases",
-        "azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
-    ),
+_CIRCLES = "planar position from three ranges, intersection of circles"
+_BY_SYSTEM: Sequence[tuple[str, str, Mapping[str, str]]] = (
+    # Phases of several stations, then of one. No recording: phases of one station alone; beam: ble51-uca, six of them.
+    ("aoa.rows", "phases", {
+        "direct": "position from the phases of all stations in one EKF, spherical waves",
+        "cascade": "3-D position from phases, a beam tracker per station, then bearings-only fusion (Will et al.)",
+        "beam": "azimuth and elevation per station from phases, EKF (Will et al.)",
+        "das": "azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
+    }),
     # Several kinds of readings. No recording with two kinds that are independent.
-    "fusion": Entry(
-        "fusion.rows",
-        "two or more of ranges, tdoa, bearings and fixes",
-        "position from ranges, range differences, bearings and fixes in one EKF, with the biases of each kind",
-    ),
-    # Bearings.
-    "bearings": Entry("aoa.rows", "bearings", "position from azimuths and elevations of any number of stations, EKF"),
+    ("fusion.rows", "two or more of ranges, tdoa, bearings and fixes", {
+        "fusion": "position from ranges, range differences, bearings and fixes in one EKF, with the biases of each "
+        "kind",
+    }),
+    ("aoa.rows", "bearings", {
+        "bearings": "position from azimuths and elevations of any number of stations, EKF",
+    }),
     # Readings along a known path: ngbui-line, all six.
-    "line-grid": Entry(
-        "line.rows",
-        "ranges or fixes, and [path]",
-        "position on a known path from ranges or fixes, grid filter of arclength and speed",
-    ),
-    "line-pf": Entry(
-        "line.rows",
-        "ranges or fixes, and [path]",
-        "position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis)",
-    ),
+    ("line.rows", "ranges or fixes, and [path]", {
+        "line-grid": "position on a known path from ranges or fixes, grid filter of arclength and speed",
+        "line-pf": "position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis)",
+    }),
     # Ranges: lias-still, all three, and all of the others that are not the first of their kind. With an IMU the two of
     # ngbui-line-3, which it makes worse, outweigh the other four.
-    "uwb": Entry("uwb_imu.rows", "ranges", "position from ranges, EKF with a drifting bias per anchor"),
-    "body": Entry(
-        "uwb_imu.body_rows",
-        "ranges and odometry",
-        "position and heading of a body from the ranges of its tags, and from its odometry if any, EKF",
-    ),
-    "uwb-imu": Entry(
-        "uwb_imu.body_rows", "ranges and imu", "position, velocity and attitude from ranges and an IMU, error-state EKF"
-    ),
-    "multilateration": Entry(
-        "uwb_imu.snapshots", "ranges", "position from the latest ranges, robust least squares without a filter"
-    ),
-    "trilateration": Entry(
-        "uwb_imu.snapshots",
-        "ranges",
-        "planar position from three ranges, intersection of circles (Kwon et al.) without compensation (14)",
-    ),
-    "trilateration-compensated": Entry(
-        "uwb_imu.snapshots",
-        "ranges",
-        "planar position from three ranges, intersection of circles with compensation (14) (Kwon et al.)",
-    ),
+    ("uwb_imu.rows", "ranges", {"uwb": "position from ranges, EKF with a drifting bias per anchor"}),
+    ("uwb_imu.body_rows", "ranges and odometry", {
+        "body": "position and heading of a body from the ranges of its tags, and from its odometry if any, EKF",
+    }),
+    ("uwb_imu.body_rows", "ranges and imu", {
+        "uwb-imu": "position, velocity and attitude from ranges and an IMU, error-state EKF",
+    }),
+    ("uwb_imu.snapshots", "ranges", {
+        "multilateration": "position from the latest ranges, robust least squares without a filter",
+        "trilateration": f"{_CIRCLES} (Kwon et al.) without compensation (14)",
+        "trilateration-compensated": f"{_CIRCLES} with compensation (14) (Kwon et al.)",
+    }),
     # Range differences: the three of util.
-    "tdoa": Entry(
-        "uwb_imu.difference_rows", "tdoa", "position from range differences, EKF with a drifting bias per anchor"
-    ),
-    "tdoa-imu": Entry(
-        "uwb_imu.body_rows",
-        "tdoa and imu",
-        "position, velocity and attitude from range differences and an IMU, error-state EKF",
-    ),
+    ("uwb_imu.difference_rows", "tdoa", {
+        "tdoa": "position from range differences, EKF with a drifting bias per anchor",
+    }),
+    ("uwb_imu.body_rows", "tdoa and imu", {
+        "tdoa-imu": "position, velocity and attitude from range differences and an IMU, error-state EKF",
+    }),
     # Fixes on a floor plan: no recording.
-    "floor-pf": Entry(
-        "baselines.rows",
-        "fixes, and [floor]",
-        "position from fixes on a floor with walls, particle filter with 1,000 particles",
-    ),
+    ("baselines.rows", "fixes, and [floor]", {
+        "floor-pf": "position from fixes on a floor with walls, particle filter with 1,000 particles",
+    }),
     # Fixes: iasl-drone and all of tiers: the first five are ties, and the simplest is the first.
-    "fix-kf": Entry("baselines.rows", "fixes", "position from fixes, Kalman filter, constant velocity in x and y"),
-    "fix-singer": Entry("baselines.rows", "fixes", "position from fixes, Kalman filter, Singer's acceleration model"),
-    "imm": Entry("baselines.rows", "fixes", "position from fixes, IMM filter of three constant-velocity models"),
-    "mhk-stamped": Entry("mhk.rows", "fixes", "mhk, with each estimate at the time of the middle of its median window"),
-    "fix-mirror": Entry(
-        "baselines.rows",
-        "fixes",
-        "position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides",
-    ),
-    "moving-average": Entry("baselines.rows", "fixes", "mean of the last 9 fixes, axis by axis"),
-    "median": Entry("baselines.rows", "fixes", "median of the last 9 fixes, axis by axis"),
-    "mhk": Entry(
-        "mhk.rows",
-        "fixes",
-        "position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter (Huang et al.)",
-    ),
-}
+    ("baselines.rows", "fixes", {
+        "fix-kf": "position from fixes, Kalman filter, constant velocity in x and y",
+        "fix-singer": "position from fixes, Kalman filter, Singer's acceleration model",
+        "imm": "position from fixes, IMM filter of three constant-velocity models",
+    }),
+    ("mhk.rows", "fixes", {
+        "mhk-stamped": "mhk, with each estimate at the time of the middle of its median window",
+    }),
+    ("baselines.rows", "fixes", {
+        "fix-mirror": "position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides",
+        "moving-average": "mean of the last 9 fixes, axis by axis",
+        "median": "median of the last 9 fixes, axis by axis",
+    }),
+    ("mhk.rows", "fixes", {
+        "mhk": "position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter "
+        "(Huang et al.)",
+    }),
+)  # fmt: skip
+ENTRIES = {name: Entry(module, table, about) for module, table, group in _BY_SYSTEM for name, about in group.items()}
 """The trackers by kind of readings, in the order in which these are tried where none is named.
 
 The order within a kind is by the errors on recordings on which the levels of neither tracker were fitted, named above.
@@ -148,21 +124,14 @@ class _Catalogue(Mapping[str, "TrackerSpec"]):
 @functools.cache
 def _completed(name: str, entry: Entry) -> TrackerSpec:
     """What its module has of the tracker, with what lists say of it."""
-    spec: TrackerSpec = import_module(f"trackwright.trackers.{entry.module}").TRACKERS[name](
-        about=entry.about, table=entry.table
-    )
-    return spec
+    module = import_module(f"trackwright.trackers.{entry.module}")
+    return module.TRACKERS[name](about=entry.about, table=entry.table)  # type: ignore[no-any-return]
 
 
 TRACKERS: Mapping[str, TrackerSpec] = _Catalogue()
 
 
-def build(
-    name: str,
-    recordings: RecordingFolder | Sequence[RecordingFolder],
-    free_height: bool = False,
-    side: str | None = None,
-) -> NamedTracker:
+def build(name: str, recordings: Recordings, free_height: bool = False, side: str | None = None) -> NamedTracker:
     """The tracker of this name for recordings; `name` is one of the catalogue's or `FILE.py:NAME` of a `TrackerSpec`.
 
     `free_height`: estimate the height of tags even where rig.toml gives it. `side`: above or below, where the tags are
@@ -173,7 +142,7 @@ def build(
     return NamedTracker.of(name, spec_of(name), recordings, free_height, side)
 
 
-def tracker_for(recordings: RecordingFolder | Sequence[RecordingFolder], free_height: bool = False) -> NamedTracker:
+def tracker_for(recordings: Recordings, free_height: bool = False) -> NamedTracker:
     """The tracker that fits the tables of the (first) recording, as `trackwright track` chooses it.
 
     Raises UnusableInput where none fits.

@@ -25,8 +25,7 @@ from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.parts.ranges import RANGES, range_inputs
 from trackwright.trackers.recordings.checks import rules
 
-COARSE_M = 1e-3
-"""Spacing of numbers in single precision, m, from which on coordinates are far from their origin: as of 8 km."""
+COARSE_M = 1e-3  # spacing of single precision, m, from which coordinates are far from their origin: as of 8 km
 
 
 def fix_recording(

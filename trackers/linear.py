@@ -34,11 +34,8 @@ from trackwright.trackers.parts.fixes import correlated
 Matrix = Float[np.ndarray, "n n"] | Callable[..., Any] | tuple[Callable[..., Any], Mapping[str, float]]
 """A covariance: an array; a function of `dt`, s; or a function of `dt` and numbers to tune, with their first values."""
 
-SENSOR = "z"
-"""The name of the readings where there is one sensor alone."""
-
-DIFFUSE = 1e6
-"""Variance of each component of the state where no `P0` is given."""
+SENSOR = "z"  # the name of the readings where there is one sensor alone
+DIFFUSE = 1e6  # variance of each component of the state where no `P0` is given
 
 _SINGULAR = 1e-12
 
@@ -242,9 +239,8 @@ class _Prior(AbstractStart):
         return jnp.zeros_like(row.dt)
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
-        return Gaussian(
-            _state(self.parts, [x + candidate for x in self.mean]), tuple(x + candidate for x in self.upper)
-        )
+        mean, upper = ([x + candidate for x in numbers] for numbers in (self.mean, self.upper))
+        return Gaussian(_state(self.parts, mean), tuple(upper))
 
 
 def _tracker(

@@ -6,7 +6,6 @@ from trackwright.tuning.objectives import AbstractObjective as AbstractObjective
 from trackwright.tuning.objectives import NegativeLogLikelihood as NegativeLogLikelihood
 from trackwright.tuning.objectives import RootMeanSquareError as RootMeanSquareError
 from trackwright.tuning.objectives import StateLogLikelihood as StateLogLikelihood
-from trackwright.tuning.objectives import Weighted as Weighted
 from trackwright.tuning.objectives import parse_objective as parse_objective
 from trackwright.tuning.optimisation import LBFGS as LBFGS
 from trackwright.tuning.optimisation import Adam as Adam
@@ -22,6 +21,5 @@ __all__ = [
     "StateLogLikelihood",
     "StationCalibration",
     "TagCalibration",
-    "Weighted",
     "parse_objective",
 ]

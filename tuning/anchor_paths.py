@@ -30,27 +30,17 @@ from scipy.sparse.linalg import splu, spsolve
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 DOF = 4.0  # degrees of freedom of Student's t of the errors
-FISHER = (DOF + 1.0) / (DOF + 3.0)
-"""The information of a range with errors of Student's t, in units of a normal one's of the same scale."""
-
-LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)
-"""Pieces of time, s, and edges of cubes, m, over which errors may be the same."""
-
-STEP, AVERAGE, GAP = 0.25, 0.1, 5.0
-"""Times, s: between knots of a path, over which ranges to an anchor are averaged, after which a path begins anew."""
-
-LEAST_SCALE, FEWEST = 0.01, 20
-"""Least scale of errors, m; ranges of a walk."""
+FISHER = (DOF + 1.0) / (DOF + 3.0)  # information of a range with such errors, by a normal one's of the same scale
+LENGTHS, SIZES = (1.0, 2.0, 4.0, 8.0, 16.0), (1.0, 2.0)  # pieces of time, s, and edges of cubes, m, of equal errors
+STEP, AVERAGE, GAP = 0.25, 0.1, 5.0  # s: between knots of a path, of averages of ranges, after which a path begins anew
+LEAST_SCALE, FEWEST = 0.01, 20  # least scale of errors, m; ranges of a walk
 
 PROBES, STEPS, CONVERGED = 12, 60, 1e-4
 RIDGE = 1e-6  # information, m⁻², of each coefficient of a path: for directions that no range determines
 
 
-DRAWS, KEPT, REFINED = 150, 4, 3
-"""Draws of times, of each walk and rank, how many of the best are tried, and how many of those are refined."""
-
-EPOCHS, DRAWN, NEAR = 120, 30, 0.5
-"""Times of a walk, how many make a draw, and the largest time, s, from such a time to a range to an anchor."""
+DRAWS, KEPT, REFINED = 150, 4, 3  # draws of times of a walk and rank, how many of the best are tried, how many refined
+EPOCHS, DRAWN, NEAR = 120, 30, 0.5  # times of a walk, how many make a draw, most time, s, from one to a range
 
 DELAY, SCALE, DENSITY, IGNORED = 0.3, 0.2, 0.3, 1e6
 """First noise levels: of the common delay and of ranges, m, of paths, m²/s³, of ranges to anchors not found yet, m."""

@@ -41,14 +41,12 @@ from trackwright.trackers.recordings.kinds import KINDS, Kind, wrapped
 from trackwright.trackers.recordings.tracks import known_heights
 from trackwright.tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
 
-LEAST_SLOPE = 0.2
-"""Least slope of a calibrated angle or range, so that each reading has one true value."""
+Stations = Mapping[str, StationCalibration]
+Numbers = Mapping[str, np.ndarray]  # by station or anchor
 
-TAG_ROUNDS = 3
-"""How often the biases of anchors and of tags are fitted in turn."""
-
-MOST_VISITS = 500
-"""The most visits of a station that a map keeps; more are thinned evenly."""
+LEAST_SLOPE = 0.2  # least slope of a calibrated angle or range, so that each reading has one true value
+TAG_ROUNDS = 3  # how often the biases of anchors and of tags are fitted in turn
+MOST_VISITS = 500  # the most visits of a station that a map keeps; more are thinned evenly
 
 
 def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibration:
@@ -68,11 +66,7 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     return replace(calibration, bearing_map=by_place)
 
 
-def _confirmed_map(
-    pairs: Mapping[str, Pairs],
-    stations: Mapping[str, StationCalibration],
-    without: Sequence[Mapping[str, StationCalibration]],
-) -> dict[str, np.ndarray]:
+def _confirmed_map(pairs: Mapping[str, Pairs], stations: Stations, without: Sequence[Stations]) -> Numbers:
     """The visits (V, 4) of all recordings about their calibration, by station; none where those left out refute them.
 
     The rule: the visits of each recording, about a calibration on the others (`without`, by number), are together more
@@ -122,10 +116,8 @@ def check_at_rest(folders: Sequence[RecordingFolder]) -> None:
     for number, folder in enumerate(folders):
         for other in folders[:number]:
             a, b = folder.rig, other.rig
-            moved = [
-                f"station '{n}'" for n in a.stations if n in b.stations and has_turned(b.stations[n], a.stations[n])
-            ]
-            moved += [f"anchor '{n}'" for n in a.anchors if n in b.anchors and has_moved(b.anchors[n], a.anchors[n])]
+            moved = [f"station '{n}'" for n, now in a.stations.items() if has_turned(b.stations.get(n), now)]
+            moved += [f"anchor '{n}'" for n, now in a.anchors.items() if has_moved(b.anchors.get(n), now)]
             if moved:
                 raise UnusableInput(
                     f"{folder.path or folder.name}: {moved[0]} stands elsewhere than in {other.path or other.name}; "
@@ -149,9 +141,7 @@ def _lacking(folders: Sequence[RecordingFolder]) -> str:
 
 
 def _stations(pairs: Mapping[str, Pairs]) -> dict[str, StationCalibration]:
-    spans = {
-        name: np.stack([values.true.min(axis=0), values.true.max(axis=0)], axis=1) for name, values in pairs.items()
-    }
+    spans = {name: np.stack([of.true.min(axis=0), of.true.max(axis=0)], axis=1) for name, of in pairs.items()}
     unknown = Regression(ANGLE_PRIOR[0], np.diag(ANGLE_PRIOR[1] ** 2), 0.0)
     angles: list[dict[str, Regression]] = []
     for k in range(2):
@@ -168,9 +158,8 @@ def _stations(pairs: Mapping[str, Pairs]) -> dict[str, StationCalibration]:
 def _rows(pairs: Pairs, factors: np.ndarray, column: int) -> Rows:
     """The rows of a regression: those with a measured value."""
     seen = np.isfinite(pairs.measured[:, column])
-    return Rows(
-        factors[seen], pairs.measured[seen, column], *(c[seen] for c in (pairs.recording, pairs.piece, pairs.place))
-    )
+    groups = (numbers[seen] for numbers in (pairs.recording, pairs.piece, pairs.place))
+    return Rows(factors[seen], pairs.measured[seen, column], *groups)
 
 
 def _increasing(regression: Regression, spans: np.ndarray, k: int) -> Regression:
@@ -214,13 +203,10 @@ def _anchors(
 
 
 def _tag_biases(
-    rows: Mapping[str, Rows], fitted: Mapping[str, Regression], number: Mapping[str, np.ndarray], count: int
+    rows: Mapping[str, Rows], fitted: Mapping[str, Regression], number: Numbers, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Biases of tags (count,), relative to their mean, and their standard deviations, from errors at all anchors."""
-    left = [
-        of_anchor._replace(x=np.ones((len(of_anchor.y), 1)), y=of_anchor.y - of_anchor.x @ fitted[name].terms)
-        for name, of_anchor in rows.items()
-    ]
+    left = [r._replace(x=np.ones((len(r.y), 1)), y=r.y - r.x @ fitted[name].terms) for name, r in rows.items()]
     joined = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
     tag = np.concatenate([number[name] for name in rows])
     of_tags = {str(k): Rows(*(column[tag == k] for column in joined)) for k in range(count)}
@@ -230,10 +216,7 @@ def _tag_biases(
 
 
 def _tag_offsets(
-    rows: Mapping[str, Rows],
-    fitted: Mapping[str, Regression],
-    number: Mapping[str, np.ndarray],
-    ends: Mapping[str, np.ndarray],
+    rows: Mapping[str, Rows], fitted: Mapping[str, Regression], number: Numbers, ends: Numbers
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where the ranges of tags end (tags, 2) and its standard deviations, zero where no heading is known.
 
@@ -262,34 +245,20 @@ def _tag_offsets(
 
 def by_halves(folder: RecordingFolder) -> list[RecordingFolder]:
     """The halves of a recording with truth, each with a calibration of the other; raises as `calibrate`."""
-    first, second = halves(folder)
+    tables = folder.tables
+    times = tables["truth"]["t_s"]
+    before = pl.col("t_s") < 0.5 * (float(times[0]) + float(times[-1]))
+    first, second = (
+        replace(folder, name=f"{folder.name}, {which} half", tables={k: t.filter(rows) for k, t in tables.items()})
+        for which, rows in (("first", before), ("second", ~before))
+    )
     return [first.calibrated(calibrate(second)), second.calibrated(calibrate(first))]
 
 
-def halves(folder: RecordingFolder) -> tuple[RecordingFolder, RecordingFolder]:
-    """The rows before the middle of the truth, and those from there on."""
-    times = folder.tables["truth"]["t_s"]
-    before = pl.col("t_s") < 0.5 * (float(times[0]) + float(times[-1]))
-    first, second = (
-        replace(
-            folder, name=f"{folder.name}, {which} half", tables={k: t.filter(rows) for k, t in folder.tables.items()}
-        )
-        for which, rows in (("first", before), ("second", ~before))
-    )
-    return first, second
-
-
-PLACE_M = 1.0
-"""Side of the squares of the floor, m, within which errors count as dependent."""
-
-MIN_ROWS = 20
-"""Least number of rows with truth of a station or anchor that is calibrated."""
-
-MOST_PIECES = 1_000_000
-"""More pieces than a recording has: pieces of different recordings have different numbers."""
-
-VISIT_M, DIGITS = 0.5, 4
-"""Distance, m, from the first row of a visit within which further rows are of the same one; decimals of its means."""
+PLACE_M = 1.0  # side of the squares of the floor, m, within which errors count as dependent
+MIN_ROWS = 20  # least number of rows with truth of a station or anchor that is calibrated
+MOST_PIECES = 1_000_000  # more pieces than a recording has: pieces of different recordings have different numbers
+VISIT_M, DIGITS = 0.5, 4  # distance, m, from a visit's first row within which rows are of it; decimals of its means
 
 
 class Pairs(NamedTuple):
@@ -297,8 +266,7 @@ class Pairs(NamedTuple):
 
     `true` and `measured` (N, 2) rad or (N, 1) m, NaN where not measured. `positions` (N, 3) m. `recording` (N,): the
     number of each row's recording. `piece`, `place` (N,): numbers of its piece of time and of its square. `tag` (N,):
-    its id. `time` (N,) s. `heading` (N,) rad: of the body, NaN where it
-    is not known.
+    its id. `time` (N,) s. `heading` (N,) rad: of the body, NaN where it is not known.
     """
 
     true: np.ndarray
@@ -319,9 +287,7 @@ def calibration_pairs(folders: Sequence[RecordingFolder], kind: Kind) -> dict[st
         if kind.name in folder.tables:
             for name, pairs in _of_folder(folder, number, kind):
                 parts.setdefault(name, []).append(pairs)
-    joined = {
-        name: Pairs(*map(np.concatenate, zip(*by_folder, strict=True))) for name, by_folder in sorted(parts.items())
-    }
+    joined = {name: Pairs(*map(np.concatenate, zip(*of, strict=True))) for name, of in sorted(parts.items())}
     return {name: pairs for name, pairs in joined.items() if np.isfinite(pairs.measured).sum(axis=0).max() >= MIN_ROWS}
 
 
@@ -337,7 +303,8 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
     positions = np.column_stack([positions[:, :2], np.where(np.isnan(positions[:, 2]), heights, positions[:, 2])])
     known = (status == TruthStatus.SCORED) & np.isfinite(positions).all(axis=1) & np.isfinite(raw.values).any(axis=1)
     piece = independent_pieces(rows.times, positions, rows.starts, known) + MOST_PIECES * number
-    place = _places(positions)
+    x, y = np.floor(np.nan_to_num(positions[:, :2]) / PLACE_M).astype(int).T
+    place = x * 100003 + y
     tag = rows.of_each(np.array(rows.tags))
     true = measured.predicted(positions)
     # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
@@ -356,12 +323,6 @@ def end_factors(pairs: Pairs, anchor: Point) -> np.ndarray:
     x, y = away[:, :2].T / np.maximum(np.linalg.norm(away, axis=1), 1e-6)
     cosine, sine = np.cos(pairs.heading), np.sin(pairs.heading)
     return np.nan_to_num(np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1))
-
-
-def _places(positions: np.ndarray) -> np.ndarray:
-    """The number of each row's square of the floor (N,)."""
-    x, y = np.floor(np.nan_to_num(positions[:, :2]) / PLACE_M).astype(int).T
-    return x * 100003 + y
 
 
 def visits_of(pairs: Pairs, station: StationCalibration) -> tuple[np.ndarray, np.ndarray]:

@@ -13,13 +13,12 @@ import numpy as np
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.run.chunks import CHUNK, pieces
 from trackwright.trackers.recordings.files import atomic_write, config_hash, read_arrays
 from trackwright.tuning.optimisation import AbstractOptimiser, FitState
-from trackwright.tuning.problem import Pieces
 
 CHECKPOINT = "checkpoint.npz"
-FORMAT = 2
-"""Of the arrays of a state; a checkpoint of another format is refused."""
+FORMAT = 2  # of the arrays of a state; a checkpoint of another format is refused
 
 
 def to_arrays(state: FitState) -> list[np.ndarray]:
@@ -48,7 +47,8 @@ def from_arrays(optimiser: AbstractOptimiser, arrays: Sequence[np.ndarray]) -> F
 def fingerprint(config: Mapping[str, Any], batches: Sequence[Batch], start: np.ndarray) -> str:
     """A hash of the options of a fit, of all numbers of its recordings, and of its starting values."""
     digest = hashlib.sha256(f"{FORMAT} {config_hash(config)}".encode())
-    for leaf in chain([start], *map(jax.tree_util.tree_leaves, Pieces(batches))):
+    parts = (part for batch in batches for part in pieces(batch, CHUNK))
+    for leaf in chain([start], *map(jax.tree_util.tree_leaves, parts)):
         array = np.ascontiguousarray(leaf)
         digest.update(f"{array.shape}{array.dtype}".encode() + array.tobytes())
     return digest.hexdigest()

@@ -17,20 +17,11 @@ from scipy.stats import t as student_t
 
 from trackwright.trackers.recordings.columns import within_groups
 
-DOF = 4.0
-"""Degrees of freedom of Student's t of the errors."""
-
-POOLED = 10.0
-"""The number of clusters that the design effect of all regressions counts as, beside a regression's own clusters."""
-
-MOST = 100
-"""The most rows of one place in one piece of time, evenly spaced: their errors are dependent."""
-
-LEAST_SPARE = 2.0
-"""Least degrees of freedom of a variance: with one, intervals would be 13 standard deviations wide."""
-
-SMALLEST = 1e-6
-"""Least scale of the errors, rad or m, below any resolution of a reading."""
+DOF = 4.0  # degrees of freedom of Student's t of the errors
+POOLED = 10.0  # clusters that the design effect of all regressions counts as, beside a regression's own
+MOST = 100  # the most rows of one place in one piece of time, evenly spaced: their errors are dependent
+LEAST_SPARE = 2.0  # least degrees of freedom of a variance: with one, intervals would be 13 standard deviations wide
+SMALLEST = 1e-6  # least scale of the errors, rad or m, below any resolution of a reading
 
 _ROUNDS, _STEPS = 8, 10
 
@@ -53,12 +44,6 @@ class Regression(NamedTuple):
     scale: float
 
 
-class _Fit(NamedTuple):
-    regression: Regression
-    effect: float
-    clusters: float
-
-
 def regressions(rows: Mapping[str, Rows], mean: np.ndarray, sigmas: np.ndarray) -> dict[str, Regression]:
     """The regressions of several sources of a kind, with the normal prior `mean`, `sigmas` (p,) of their terms.
 
@@ -66,17 +51,19 @@ def regressions(rows: Mapping[str, Rows], mean: np.ndarray, sigmas: np.ndarray) 
     rows count. The design effects of the sources are pooled where their own clusters are few.
     """
     fits = {name: _fit(of_source, mean, sigmas, None) for name, of_source in rows.items()}
-    spare = {name: max(fit.clusters - len(mean), 0.0) for name, fit in fits.items()}
+    spare = {name: max(clusters - len(mean), 0.0) for name, (_, _, clusters) in fits.items()}
     total = sum(spare.values())
     result = {}
     for name, of_source in rows.items():
-        pooled = sum(spare[k] * fits[k].effect for k in fits) / total if total > 0.0 else fits[name].effect
-        result[name] = _fit(of_source, mean, sigmas, (pooled, total)).regression
+        pooled = sum(spare[k] * effect for k, (_, effect, _) in fits.items()) / total if total > 0.0 else fits[name][1]
+        result[name] = _fit(of_source, mean, sigmas, (pooled, total))[0]
     return result
 
 
-def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, float] | None) -> _Fit:
-    """One regression; `pooled`: the design effect of all of them, and its degrees of freedom."""
+def _fit(
+    rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, float] | None
+) -> tuple[Regression, float, float]:
+    """A regression, its design effect and clusters; `pooled`: the effect of all of them, and its degrees of freedom."""
     rows, cells = _in_order(rows)
     x, y, begins = rows.x, rows.y, np.flatnonzero(np.append(True, np.diff(cells) != 0))
     clusterings = [_numbered(c[begins]) for c in (rows.piece, rows.place)]
@@ -103,10 +90,8 @@ def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, 
         parts = np.add.reduceat(curved * weighted[:, :, None] * x[:, None, :], begins)
         A = parts.sum(axis=0)
         H = A / effect + precision
-        B = sum(_scatter(c, scores, parts / effect, H) for c in clusterings) - _scatter(
-            np.arange(len(begins)), scores, parts / effect, H
-        )
-        B = _positive(B)
+        alone = _scatter(np.arange(len(begins)), scores, parts / effect, H)
+        B = _positive(sum(_scatter(c, scores, parts / effect, H) for c in clusterings) - alone)
         effect = max(float(np.trace(np.linalg.solve(A + precision, B))) / len(mean), 1e-3)
         if pooled is not None:
             spare = max(clusters - len(mean), 0.0)
@@ -118,7 +103,7 @@ def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, 
             B, effect = B * wider, effect * wider
     inverse = np.linalg.inv(A / effect + precision)
     covariance = inverse @ (B / effect**2 + precision) @ inverse
-    return _Fit(Regression(terms, 0.5 * (covariance + covariance.T), sigma), effect, clusters)
+    return Regression(terms, 0.5 * (covariance + covariance.T), sigma), effect, clusters
 
 
 def _in_order(rows: Rows) -> tuple[Rows, np.ndarray]:

@@ -20,16 +20,11 @@ from trackwright.trackers.recordings import tracks
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectory, batches, segments
-from trackwright.tuning.objectives import (
-    AbstractObjective,
-    MissingQuantityError,
-    StateLogLikelihood,
-    name_of,
-    parse_objective,
-)
+from trackwright.tuning.objectives import AbstractObjective, name_of, parse_objective
 from trackwright.tuning.problem import Problem, is_stochastic
 
 FLAT_M = 1.0  # most difference in height, m, of anchors in whose plane heights may be mirrored
+Goal = str | AbstractObjective | None  # an objective, or its name; None: the default
 SEGMENT_ROWS = 8000  # rows of the segments that long recordings are cut into, which are fitted side by side
 
 
@@ -115,11 +110,7 @@ class FitData:
 
 
 def fit_data(
-    batch: TrackerBatch,
-    objective: str | AbstractObjective | None,
-    held_out: Sequence[RecordingFolder] = (),
-    segment_rows: int = SEGMENT_ROWS,
-    dimensions: int | None = None,
+    batch: TrackerBatch, objective: Goal, held_out: Sequence[RecordingFolder] = (), dimensions: int | None = None
 ) -> FitData:
     """The data of a fit to the trajectories of one tracker, cut into segments; `held_out`: folders not fitted to.
 
@@ -134,7 +125,7 @@ def fit_data(
     whole: Sequence[Trajectory] = batch.trajectories
     if floor and quantity == "position":
         whole = [tracks.with_floor_truth(trajectory) for trajectory in whole]
-    trajectories = [segment for trajectory in whole for segment in segments(trajectory, segment_rows)]
+    trajectories = [segment for trajectory in whole for segment in segments(trajectory, SEGMENT_ROWS)]
     known = [bool(trajectory.recording.truth[quantity][1].any()) for trajectory in trajectories]
     singular = batch.planar and bool(trajectories[0].station)
     if objective is None:
@@ -161,12 +152,12 @@ def fit_data(
     return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, unused)
 
 
-def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | None) -> int:
+def judged_dimensions(batch: TrackerBatch, objective: Goal) -> int:
     """3 where the height is estimated, every truth has heights and `state-nll` is judged, or chosen by default; else 2.
 
     An RMSE in space would be a badly determined height's, and near the plane of level anchors one is mirrored.
     """
-    weighted = objective is None or (isinstance(objective, str) and "state-nll" in objective)
+    weighted = objective is None or objective == "state-nll"
     if not weighted or batch.planar or _quantity(batch) != "position":
         return 2
     rigs = {trajectory.folder.name: trajectory.folder.rig for trajectory in batch.trajectories}
@@ -197,26 +188,16 @@ def _default_objective(tracker: AbstractTracker, batch: Batch, quantity: str, kn
 
     A particle filter has no gradient of the first.
     """
-    if not known or is_stochastic(tracker):
-        return "nll"
-    first = batch.rows(slice(0, 2)).columns(0, 1)
-    try:
-        goal = StateLogLikelihood(quantity, min(2, len(first.truth[quantity][0])))
-        jax.eval_shape(lambda: tracker.accumulate(first, goal.terms))
-    except MissingQuantityError:
-        return "nll"
-    return "state-nll"
+    judged = known and not is_stochastic(tracker) and _components(tracker, batch, quantity)
+    return "state-nll" if judged else "nll"
 
 
 def named_objective(objective: str | AbstractObjective, quantity: str, dimensions: int) -> AbstractObjective:
-    """The objective by name, or as it is; raises UnusableInput for a name that is unknown or unfit."""
-    if not isinstance(objective, str):
-        require(isinstance(objective, AbstractObjective), "fit", objective, "an objective: a name or an object")
-        return objective
-    try:
+    """The objective by name, or as it is; raises UnusableInput for a name that is unknown."""
+    if isinstance(objective, str):
         return parse_objective(objective, quantity, dimensions)
-    except ValueError as error:
-        raise UnusableInput(f"objective {objective}: {error}") from error
+    require(isinstance(objective, AbstractObjective), "fit", objective, "an objective: a name or an object")
+    return objective
 
 
 Arrays = Recording | Batch | Sequence[Recording] | Sequence[Batch]
@@ -233,11 +214,7 @@ class FitArrays(NamedTuple):
 
 
 def fit_arrays(
-    tracker: AbstractTracker | NamedTracker,
-    recordings: Any,
-    objective: str | AbstractObjective | None,
-    held_out: Any,
-    dimensions: int | None = None,
+    tracker: Any, recordings: Any, objective: Goal, held_out: Any, dimensions: int | None = None
 ) -> FitData | FitArrays:
     """Tracker, batches and objective of a fit, from what `tuning.fit` takes; raises UnusableInput, a ValueError."""
     if isinstance(recordings, FitData):
@@ -287,11 +264,7 @@ def _has_truth(batches: Sequence[Batch]) -> bool:
 
 
 def _array_objective(
-    objective: str | AbstractObjective | None,
-    tracker: AbstractTracker,
-    rows: Sequence[Batch],
-    apart: Sequence[Batch],
-    dimensions: int | None,
+    objective: Goal, tracker: AbstractTracker, rows: Sequence[Batch], apart: Sequence[Batch], dimensions: int | None
 ) -> AbstractObjective:
     """The objective for recordings in arrays: by name of the quantity of their truth, in so many dimensions.
 
@@ -312,5 +285,5 @@ def _array_objective(
     if not (goal.needs_truth and isinstance(objective, str)):
         return goal
     estimated = _components(tracker, rows[0], quantity) or 2
-    true = rows[0].truth[quantity][0].shape[1] if "state-nll" in objective else 2
+    true = rows[0].truth[quantity][0].shape[1] if objective == "state-nll" else 2
     return named_objective(objective, quantity, min(dimensions or true, estimated))

@@ -18,14 +18,10 @@ from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import MIN_TRAJECTORIES, Interval, Uncertainty, loose_groups, unidentifiable, unused
 from trackwright.tuning.weight import rows_and_inflation
 
-COLLAPSED = 1e-3
-"""Part of its starting value below which a noise level has collapsed."""
-
-MOVED = 1e-6
-"""Change in unconstrained coordinates below which a fit has not moved."""
-
-INFLATION = 2.0
-"""Rows with the information of one from which on errors are named as correlated."""
+Point = Float[np.ndarray, " p"]  # unconstrained numbers
+COLLAPSED = 1e-3  # part of its starting value below which a noise level has collapsed
+MOVED = 1e-6  # change in unconstrained coordinates below which a fit has not moved
+INFLATION = 2.0  # rows with the information of one from which on errors are named as correlated
 
 
 class Issue(NamedTuple):
@@ -43,10 +39,8 @@ def cautions(tracker: AbstractTracker, parameters: Sequence[Parameter], objectiv
         if not all(np.array_equal(value, values[0]) for value in values):
             yield f"{parameter.label}: tied numbers with different values all start at the first"
         if parameter.label.endswith(".latency") and len(tracker.nis_sensors) == 1 and not objective.needs_truth:
-            yield (
-                f"{parameter.label}: fixes alone do not determine their latency; give recordings with truth and "
-                "objective rmse"
-            )
+            fix = "give recordings with truth and objective rmse"
+            yield f"{parameter.label}: fixes alone do not determine their latency; {fix}"
 
 
 def identifiability_issues(
@@ -89,21 +83,15 @@ def identifiability_issues(
 
 
 def finished_cautions(
-    problem: Problem,
-    start: Float[np.ndarray, " p"],
-    end: Float[np.ndarray, " p"],
-    uncertainty: Uncertainty | None,
-    converged: bool,
-    selected: bool,
+    problem: Problem, start: Point, end: Point, uncertainty: Uncertainty | None, converged: bool, selected: bool
 ) -> list[str]:
     """Clauses on a finished fit, as in `FitResult.cautions`. For a likelihood this runs the filter once more."""
     texts = []
     if np.max(np.abs(end - start), initial=0.0) < MOVED:
         where = " on the held-out recordings" if selected else ""
         texts.append(f"the fit did not move from its starting values: no other point is better{where}")
-    for (parameter, first), (_, last) in zip(
-        split(problem.parameters, start), split(problem.parameters, end), strict=True
-    ):
+    ends = zip(split(problem.parameters, start), split(problem.parameters, end), strict=True)
+    for (parameter, first), (_, last) in ends:
         fell = isinstance(parameter.example, Scale) and np.min(last - first) < math.log(COLLAPSED)
         if fell and not _determined(uncertainty, parameter):
             low = f"{float(np.exp(last.min())):.3g} {parameter.example.unit}"

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trackwright.trackers.core.model.tunable import known
-from trackwright.trackers.core.run.chunks import CHUNK
 from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
@@ -66,8 +65,7 @@ class FitResult(Generic[AnyTracker]):
     interrupted. `trace`: the steps of the best start, ending at `vector`; `starts`: of all starts. `before`: the
     tracker at the first start, tied numbers made equal and bounded ones clipped. `limits`: lowest and highest vector.
     `converged`: whether the best start ended before the last step, or its optimiser takes all. `selected`: whether
-    held-out recordings chose `vector`. `recordings`: the one of each trajectory of
-    `problem`.
+    held-out recordings chose `vector`. `recordings`: the one of each trajectory of `problem`.
     """
 
     tracker: AnyTracker
@@ -147,12 +145,11 @@ class FitOptions:
     """How a fit is done.
 
     `frozen`: patterns of tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: None
-    for `LBFGS` for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters. `steps`:
-    the most of each start. `starts`: the tracker's own values, then the best of a coarse grid.
-    `held_out`: recordings that select the best point and end the fit, as `fit` takes them. `dimensions`: 3 to judge an
-    estimated height too; None for 3 with `state-nll`, where truth and estimates have heights and anchors are not level,
-    and 2 else. `prior`: of a likelihood, `nll` or `state-nll`: by the spread between sites, or flat. `chunk`:
-    trajectories in one compiled call. Each recording, in arrays each trajectory, has the same weight.
+    for `LBFGS` for likelihoods, else `Adam`, as for particle filters. `steps`: the most of each start. `starts`: the
+    tracker's own values, then the best of a coarse grid. `held_out`: recordings that select the best point and end the
+    fit, as `fit` takes them. `dimensions`: 3 to judge an estimated height too; None for 3 with `state-nll`, where truth
+    and estimates have heights and anchors are not level, and 2 else. `prior`: of a likelihood, `nll` or `state-nll`: by
+    the spread between sites, or flat. Each recording, in arrays each trajectory, has the same weight.
     """
 
     frozen: Sequence[str] = ()
@@ -163,7 +160,6 @@ class FitOptions:
     held_out: Arrays | RecordingFolder | Sequence[RecordingFolder] = ()
     dimensions: int | None = None
     prior: PriorKind = "sites"
-    chunk: int = CHUNK
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,17 +195,15 @@ def fit(
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The result is the best point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there.
-    `FitResult.cautions` speak against it.
-    Raises ValueError for patterns that match nothing or can't be tied and for empty bounds; FloatingPointError where
-    the objective is not finite at the first start.
+    `FitResult.cautions` speak against it. Raises ValueError for patterns that match nothing or can't be tied and for
+    empty bounds; FloatingPointError where the objective is not finite at the first start.
     """
-    frozen, bounds, chunk = options.frozen, options.bounds, options.chunk
     data = fit_arrays(tracker, recordings, objective, options.held_out, options.dimensions)
     model, objective = data.tracker, data.objective
     tune = tuned_by_default(model, objective.needs_truth) if tune is None else tune
-    parameters = select_parameters(model, tune, frozen)
+    parameters = select_parameters(model, tune, options.frozen)
     model = known(model, [name for parameter in parameters for name in parameter.names])
-    problem = Problem(model, data.rows.batches, objective, parameters, chunk, data.rows.weights)
+    problem = Problem(model, data.rows.batches, objective, parameters, weights=data.rows.weights)
     names = data.rows.recordings_of(problem)
     likelihood, number = objective.is_likelihood and not problem.stochastic, len({*names, ""}) - 1
     if likelihood:
@@ -217,13 +211,13 @@ def fit(
         problem.prior = Prior.of(parameters, options.prior)
     scoring = None
     if data.rows_apart.batches:
-        scoring = Problem(model, data.rows_apart.batches, objective, parameters, chunk, data.rows_apart.weights)
-    low, high = limits(parameters, bounds)
+        scoring = Problem(model, data.rows_apart.batches, objective, parameters, weights=data.rows_apart.weights)
+    low, high = limits(parameters, options.bounds)
     if (hidden := _hidden(parameters, objective)).any():
         low, high = (np.where(hidden, flatten(parameters), ends) for ends in (low, high))
-    # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
-    smooth = objective.has_density and not problem.stochastic
-    optimiser = options.optimiser or (LBFGS() if smooth else Adam(options.steps))
+    # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over. A density
+    # jumps little.
+    optimiser = options.optimiser or (LBFGS() if likelihood else Adam(options.steps))
     driver = MultiStart(problem, optimiser, options.steps, low, high, scoring)
     if progress.resume is not None:
         state = from_arrays(optimiser, progress.resume)
@@ -326,18 +320,14 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
     moved = np.flatnonzero(np.any(np.diff(vectors, axis=0) != 0, axis=1))
     last = moved[-1] + 2 if len(moved) else 1
     # Vector by vector: programs for every number of steps would take longer to compile.
-    return [
-        Step(float(state.past_values[k, start]), float(state.past_norms[k, start]), by_label(parameters, vectors[k]))
-        for k in range(last)
-    ]
+    steps = zip(state.past_values[:last, start], state.past_norms[:last, start], vectors[:last], strict=True)
+    return [Step(float(value), float(norm), by_label(parameters, vector)) for value, norm, vector in steps]
 
 
-MOST_FOLDS = 10
-"""Fits at most: of more recordings several are left out at once."""
+MOST_FOLDS = 10  # fits at most: of more recordings several are left out at once
 
 
-LEFT_OUT_ROUNDS = 8
-"""Steps of each fit from the optimum of all recordings."""
+LEFT_OUT_ROUNDS = 8  # steps of each fit from the optimum of all recordings
 
 
 def _model(result: FitResult) -> Uncertainty | None:
@@ -362,16 +352,11 @@ def left_out_values(result: FitResult) -> dict[str, dict[str, np.ndarray]]:
     hessian, free = uncertainty.optimum.hessian, ~uncertainty.at_bound
     vectors, _ = refit(result.problem, starts, hessian, free, weights, LEFT_OUT_ROUNDS)
     values = [by_label(result.parameters, np.clip(vector, *result.limits)) for vector in vectors]
-    return {
-        name: of_fold
-        for fold, of_fold, others in zip(folds, values, weights, strict=True)
-        for name in fold
-        if others.any()
-    }
+    fitted = zip(folds, values, weights, strict=True)
+    return {name: of_fold for fold, of_fold, others in fitted for name in fold if others.any()}
 
 
-BLOCKS = 4
-"""Blocks of time of a single recording."""
+BLOCKS = 4  # blocks of time of a single recording
 
 
 def left_out_blocks(result: FitResult, data: FitData) -> list[tuple[float, float, dict[str, np.ndarray]]]:

@@ -5,26 +5,23 @@ e  estimate − truth of a quantity, (d,)        S  its reported covariance     
 
 from __future__ import annotations
 
-import itertools
 import math
-import re
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from trackwright.trackers.core.data.estimates import Status
+from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.algebra import Scalar, cholesky, total, triangle
 from trackwright.trackers.core.model.linearise import covariance_of
 from trackwright.trackers.core.model.sensor import LOG_2PI
 from trackwright.trackers.core.run.scan import Output
 
-Truth = dict[str, tuple[Any, Any]]
-"""The truth of a row by quantity: its components, each (B,), and whether it is known (B,)."""
+Truth = dict[str, tuple[Any, Any]]  # of a row by quantity: its components, each (B,), and whether it is known (B,)
 
 
 def name_of(objective: object) -> str:
@@ -32,22 +29,14 @@ def name_of(objective: object) -> str:
     return objective if isinstance(objective, str) else type(objective).__name__
 
 
-class MissingQuantityError(ValueError):
-    """A tracker's state, or the truth, lacks the quantity whose error an objective needs, or components of it."""
-
-
 class AbstractObjective(eqx.Module):
-    """A function of sums: `terms` of all rows are added over rows and trajectories, `value` maps sums to a number."""
+    """A function of sums: `terms` of all rows are added over rows and trajectories, `value` maps sums to a number.
 
-    @property
-    @abstractmethod
-    def size(self) -> int:
-        """Number of terms of a row."""
+    `size`: number of terms of a row. `needs_truth`: whether only rows with known truth count.
+    """
 
-    @property
-    @abstractmethod
-    def needs_truth(self) -> bool:
-        """Whether only rows with known truth count."""
+    size: eqx.AbstractClassVar[int]
+    needs_truth: eqx.AbstractClassVar[bool]
 
     @abstractmethod
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
@@ -69,11 +58,6 @@ class AbstractObjective(eqx.Module):
     def is_likelihood(self) -> bool:
         """Whether the objective is a negative log-likelihood in some unit."""
         return math.isfinite(self.nats_per_unit([1.0] * self.size))
-
-    @property
-    def has_density(self) -> bool:
-        """Whether it contains a density: one jumps little where a track is nearly lost, and a line search goes on."""
-        return self.is_likelihood
 
     @property
     def of_position(self) -> bool:
@@ -103,21 +87,26 @@ class NegativeLogLikelihood(AbstractObjective):
         return float(sums[1])
 
 
-class RootMeanSquareError(AbstractObjective):
-    """The root mean square error of a quantity of the state, in the quantity's unit.
-
-    `quantity`: a vector field of the state, such as `position`; `dimensions`: the number of its components that count.
-    """
+class AbstractErrorObjective(AbstractObjective):
+    """An objective of the errors of `quantity`, a vector field of the state, in its first `dimensions` components."""
 
     quantity: str = eqx.field(static=True, default="position")
     dimensions: int = eqx.field(static=True, default=2)
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = True
-    of_position: ClassVar[bool] = True
 
     @property
     def horizontal(self) -> bool:
         return self.quantity == "position" and self.dimensions <= 2
+
+
+class RootMeanSquareError(AbstractErrorObjective):
+    """The root mean square error of a quantity of the state, in the quantity's unit.
+
+    `quantity`: a vector field of the state, such as `position`; `dimensions`: the number of its components that count.
+    """
+
+    of_position: ClassVar[bool] = True
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         errors, scored = errors_of(output, truth, self.quantity, self.dimensions)
@@ -128,7 +117,7 @@ class RootMeanSquareError(AbstractObjective):
         return jnp.sqrt(sums[0] / sums[1])
 
 
-class StateLogLikelihood(AbstractObjective):
+class StateLogLikelihood(AbstractErrorObjective):
     """The mean negative log density of the truth under each row's mean and covariance, nats per row.
 
     Fields as in `RootMeanSquareError`. Unlike an RMSE it penalises overconfident and underconfident covariances. Errors
@@ -136,102 +125,36 @@ class StateLogLikelihood(AbstractObjective):
     density of a third component given the other two (composite likelihood).
     """
 
-    quantity: str = eqx.field(static=True, default="position")
-    dimensions: int = eqx.field(static=True, default=2)
     height_weight: float = eqx.field(static=True, default=1.0)
-    size: ClassVar[int] = 2
-    needs_truth: ClassVar[bool] = True
 
     @property
     def of_position(self) -> bool:
         return self.quantity == "position"
 
-    @property
-    def horizontal(self) -> bool:
-        return self.quantity == "position" and self.dimensions <= 2
-
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         weights = (1.0, 1.0, self.height_weight)[: self.dimensions]
-        error = normalised_error(output, truth, self.quantity, self.dimensions, weights)
-        density = -0.5 * (error.nees + error.log_determinant + sum(weights) * LOG_2PI)
-        return jnp.where(error.scored, -density, 0.0), jnp.where(error.scored, jnp.ones_like(density), 0.0)
+        nees, log_determinant, scored = normalised_error(output, truth, self.quantity, self.dimensions, weights)
+        density = -0.5 * (nees + log_determinant + sum(weights) * LOG_2PI)
+        return jnp.where(scored, -density, 0.0), jnp.where(scored, jnp.ones_like(density), 0.0)
 
     def value(self, sums: Any) -> Scalar:
         return sums[0] / sums[1]
 
     def squares(self, output: Output, truth: Truth) -> tuple[Scalar, Scalar]:
-        error = normalised_error(output, truth, self.quantity, self.dimensions)
-        return error.nees, jnp.where(error.scored, float(self.dimensions), 0.0)
+        nees, _, scored = normalised_error(output, truth, self.quantity, self.dimensions)
+        return nees, jnp.where(scored, float(self.dimensions), 0.0)
 
     def nats_per_unit(self, sums: Any) -> float:
         return float(sums[1])
 
 
-class Weighted(AbstractObjective):
-    """A weighted sum of objectives; trajectories for which one of them is not finite are excluded from all."""
-
-    parts: tuple[AbstractObjective, ...]
-    weights: tuple[float, ...] = eqx.field(static=True)
-
-    def __check_init__(self) -> None:
-        if len(self.parts) != len(self.weights) or not all(0 < w < float("inf") for w in self.weights):
-            raise ValueError(f"each of {len(self.parts)} objectives has a weight above zero, found {self.weights}")
-
-    @property
-    def size(self) -> int:
-        return sum(part.size for part in self.parts)
-
-    @property
-    def needs_truth(self) -> bool:
-        return any(part.needs_truth for part in self.parts)
-
-    @property
-    def has_density(self) -> bool:
-        return any(part.has_density for part in self.parts)
-
-    @property
-    def of_position(self) -> bool:
-        return all(part.of_position for part in self.parts)
-
-    @property
-    def horizontal(self) -> bool:
-        return all(part.horizontal for part in self.parts)
-
-    def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
-        return tuple(x for part in self.parts for x in part.terms(output, truth))
-
-    def value(self, sums: Any) -> Scalar:
-        return total(w * part.value(s) for w, part, s in zip(self.weights, self.parts, self.split(sums), strict=True))
-
-    def squares(self, output: Output, truth: Truth) -> tuple[Scalar, Scalar]:
-        return self.parts[0].squares(output, truth)
-
-    def nats_per_unit(self, sums: Any) -> float:
-        if len(self.parts) > 1:
-            return float("nan")
-        return self.parts[0].nats_per_unit(sums) / self.weights[0]
-
-    def split(self, sums: Any) -> list[Any]:
-        """The sums of each objective."""
-        ends = itertools.accumulate(part.size for part in self.parts)
-        return [sums[end - part.size : end] for part, end in zip(self.parts, ends, strict=True)]
-
-
-class NormalisedError(NamedTuple):
-    """An error normalised by its covariance: NEES, log det S, and whether the row is scored; all (B,)."""
-
-    nees: Scalar
-    log_determinant: Scalar
-    scored: Scalar
-
-
 def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> tuple[list[Scalar], Scalar]:
-    """Estimate − truth of a quantity's first components, and whether the row has both; or `MissingQuantityError`."""
+    """Estimate − truth of a quantity's first components, and whether the row has both; or UnusableInput."""
     if not hasattr(output.mean, quantity):
-        raise MissingQuantityError(f"the tracker's state is a {type(output.mean).__name__}, which has no {quantity}")
+        raise UnusableInput(f"the tracker's state is a {type(output.mean).__name__}, which has no {quantity}")
     true, known = truth[quantity]
     if len(true) < dimensions:
-        raise MissingQuantityError(
+        raise UnusableInput(
             f"the truth of the {quantity} has {len(true)} components, and {dimensions} are judged; give the truth its "
             "height, or use a tracker over the floor"
         )
@@ -242,8 +165,8 @@ def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> t
 
 def normalised_error(
     output: Output, truth: Truth, quantity: str, dimensions: int, weights: Sequence[float] = (1.0, 1.0, 1.0)
-) -> NormalisedError:
-    """The error of a quantity's first components normalised by the reported covariance.
+) -> tuple[Scalar, Scalar, Scalar]:
+    """NEES and log det S (B,) of a quantity's first components, and whether the row is scored.
 
     By a Cholesky factor over scalars; NaN where the covariance of a scored row is not positive definite. `weights`: of
     the components in NEES and log det S, each given those before it.
@@ -260,7 +183,7 @@ def normalised_error(
         parts.append((jnp.where(scored, e, 0.0) - total(L[i, j] * parts[j] for j in range(i))) / pivot)
     weighted = list(zip(weights, parts, strict=False))
     logs = [w * jnp.log(L[i, i]) for i, (w, _) in enumerate(weighted)]
-    return NormalisedError(total(w * p * p for w, p in weighted), 2.0 * total(logs), scored)
+    return total(w * p * p for w, p in weighted), 2.0 * total(logs), scored
 
 
 def _covariance_of(output: Output, quantity: str, dimensions: int) -> dict[tuple[int, int], Scalar]:
@@ -281,42 +204,16 @@ Noise levels that act on the height alone are fitted to it all the same; those t
 plane's two coordinates, four times as heavy.
 """
 
-OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxyType(
-    {
-        "nll": lambda quantity, dimensions: NegativeLogLikelihood(),
-        "rmse": RootMeanSquareError,
-        "state-nll": lambda quantity, dimensions: StateLogLikelihood(
-            quantity, dimensions, HEIGHT_WEIGHT if dimensions == 3 else 1.0
-        ),
-    }
-)
+OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = {
+    "nll": lambda quantity, dimensions: NegativeLogLikelihood(),
+    "rmse": RootMeanSquareError,
+    "state-nll": lambda quantity, d: StateLogLikelihood(quantity, d, HEIGHT_WEIGHT if d == 3 else 1.0),
+}
 """Constructors by name, each of a quantity and its number of components."""
 
-SUMMAND = re.compile(r"\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?([a-z][a-z-]*)\s*")
 
-
-def parse_objective(text: str, quantity: str = "position", dimensions: int = 2) -> AbstractObjective:
-    """The objective of a text such as `nll`, or `0.1*rmse + nll`.
-
-    Raises ValueError for an unknown or duplicate name, and for a weight that isn't positive.
-    """
-    parts: dict[str, AbstractObjective] = {}
-    weights, at = [], 0
-    while True:
-        match = SUMMAND.match(text, at)
-        if match is None or match[2] not in OBJECTIVES or match[2] in parts:
-            names = ", ".join(OBJECTIVES)
-            raise ValueError(f"'{text}' is no objective; expected some of {names}, each once, as 'nll+0.1*rmse'")
-        try:
-            weights.append(float(match[1] or 1.0))
-        except ValueError as error:
-            raise ValueError(f"'{text}': the weight '{match[1]}' is not a number") from error
-        parts[match[2]] = OBJECTIVES[match[2]](quantity, dimensions)
-        at = match.end()
-        if at == len(text):
-            break
-        if text[at] != "+":
-            raise ValueError(f"'{text}': found '{text[at:]}' where '+' and another objective were expected")
-        at += 1
-    only = list(parts.values())
-    return only[0] if len(only) == 1 and weights == [1.0] else Weighted(tuple(only), tuple(weights))
+def parse_objective(name: str, quantity: str = "position", dimensions: int = 2) -> AbstractObjective:
+    """The objective of this name; raises UnusableInput for an unknown one."""
+    if name not in OBJECTIVES:
+        raise UnusableInput(f"objective {name}: '{name}' is no objective; expected one of {', '.join(OBJECTIVES)}")
+    return OBJECTIVES[name](quantity, dimensions)

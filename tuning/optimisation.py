@@ -25,8 +25,7 @@ from trackwright.tuning.uncertainty import Optimum, determined, optimum
 
 Vectors = Float[np.ndarray, "S p"]
 
-MAX_STEP = 2.0
-"""Longest step in unconstrained coordinates: a noise level changes by a factor of seven at most."""
+MAX_STEP = 2.0  # longest step in unconstrained coordinates: a noise level changes by a factor of seven at most
 
 
 class AbstractOptimiser(eqx.Module):
@@ -116,23 +115,12 @@ def _update(optimiser: Adam | LBFGS, gradient: jax.Array, state: Any, vector: ja
     return optimiser.transformation.update(gradient, state, vector)  # type: ignore[return-value]
 
 
-MAX_ATTEMPTS = 7
-"""Attempts at a step, each shorter than the one before; a start that none of them helps has converged."""
-
-SHORTEST, LONGEST = 0.1, 0.5
-"""Length of an attempt relative to the one before."""
-
-ANOTHER_ATTEMPT = 10.0
-"""Expected gain of a second and later attempt, relative to the least gain of a step."""
-
-SAME_START = 0.2
-"""Distance between two starts below which the worse one ends, in unconstrained coordinates: 20 % of a noise level."""
-
-PATIENCE = 15
-"""Steps without the least gain after which a start of an optimiser that also takes steps up ends."""
-
-MIN_GAIN_NATS = 0.01
-"""Least gain in likelihood per step for a start to continue: far below any relevant change of a parameter."""
+MAX_ATTEMPTS = 7  # attempts at a step, each shorter than the one before; a start that none of them helps has converged
+SHORTEST, LONGEST = 0.1, 0.5  # length of an attempt relative to the one before
+ANOTHER_ATTEMPT = 10.0  # expected gain of a second and later attempt, relative to the least gain of a step
+SAME_START = 0.2  # unconstrained distance of two starts below which the worse one ends: 20 % of a noise level
+PATIENCE = 15  # steps without the least gain after which a start of an optimiser that also takes steps up ends
+MIN_GAIN_NATS = 0.01  # gain in likelihood, a step, below which a start ends: far below any relevant change
 
 
 class FitState(NamedTuple):
@@ -244,7 +232,9 @@ class MultiStart:
         converged = self.optimiser.monotone & (gain < self._min_gains(values, terms, used))
         best_scores = np.where(better, scores, state.best_scores)
         best_vectors = np.where(better[:, None], vectors, state.best_vectors)
-        ended = converged | (stale >= self._patience) | self._duplicates(vectors, gradients, best_vectors, best_scores)
+        patient = self.problem.stochastic or self.optimiser.monotone
+        patience = self.max_stale if self.held_out is not None else np.inf if patient else PATIENCE
+        ended = converged | (stale >= patience) | self._duplicates(vectors, gradients, best_vectors, best_scores)
         return self._with_trace(
             state._replace(
                 number=np.array(number),
@@ -278,11 +268,7 @@ class MultiStart:
         return self.problem.filter_runs + (0 if self.held_out is None else self.held_out.filter_runs)
 
     def _duplicates(
-        self,
-        vectors: Float[np.ndarray, "S p"],
-        gradients: Float[np.ndarray, "S p"],
-        best_vectors: Float[np.ndarray, "S p"],
-        best_scores: Float[np.ndarray, " S"],
+        self, vectors: Vectors, gradients: Vectors, best_vectors: Vectors, best_scores: Float[np.ndarray, " S"]
     ) -> Bool[np.ndarray, " S"]:
         """The starts (S,) that have come near the best point of a better one; numbers without effect are left out."""
         if self.problem.stochastic:
@@ -311,13 +297,6 @@ class MultiStart:
             filter_runs=np.array(self.filter_runs),
         )
 
-    @property
-    def _patience(self) -> float:
-        """Steps without a gain after which a start ends."""
-        if self.held_out is not None:
-            return self.max_stale
-        return np.inf if self.problem.stochastic or self.optimiser.monotone else PATIENCE
-
 
 def _here(found: Evaluation | FitState) -> dict[str, np.ndarray]:
     """The fields of the objective at the vectors, which evaluations and states share."""
@@ -340,8 +319,7 @@ def min_gain(value: float, nats_per_unit: float) -> float:
     return max(MIN_GAIN_NATS / nats_per_unit, 1e-7 * abs(value)) if np.isfinite(nats_per_unit) else 1e-5 * abs(value)
 
 
-GRID_STEP = np.log(10.0)
-"""Distance between points of the coarse grid of starts, in unconstrained coordinates: a factor of ten."""
+GRID_STEP = np.log(10.0)  # unconstrained distance of points of the coarse grid of starts: a factor of ten
 
 
 def initial_state(driver: MultiStart, vector: Float[np.ndarray, " p"], starts: int) -> FitState:
@@ -377,13 +355,8 @@ def coarse_grid(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]
         if isinstance(parameter.example, Scale | Covariance):
             part = motion if role_of(parameter.example) in ("process noise", "bias noise") else others
             part[np.ravel(raised)] = 1.0
-    steps = (0.0, -GRID_STEP, GRID_STEP)
-    grid = [
-        vector + a * motion + b * others
-        for a in (steps if motion.any() else steps[:1])
-        for b in (steps if others.any() else steps[:1])
-    ]
-    return np.stack(grid)
+    first, second = ((0.0, -GRID_STEP, GRID_STEP) if part.any() else (0.0,) for part in (motion, others))
+    return np.stack([vector + a * motion + b * others for a in first for b in second])
 
 
 NEWTON_STEPS = 4

@@ -14,8 +14,7 @@ from trackwright.tuning.fitting import FitOptions, fit
 from trackwright.tuning.parameters import tuned_by_default
 from trackwright.tuning.weight import rows_and_inflation
 
-LEAST_GAIN = 2.0
-"""Nats of the posterior below which a recording tells nothing against the levels that it is run at."""
+LEAST_GAIN = 2.0  # nats of the posterior below which a recording tells nothing against the levels that it is run at
 
 LASTING = 1.5
 """Ratio of the levels of errors that last and those that do not from which on the first pass for motion.
@@ -23,8 +22,7 @@ LASTING = 1.5
 It is larger on the real ranges and bearings used for development, 1.7 and less on two, and smaller with white noise.
 """
 
-INFLATION = 3.0
-"""Rows with the information of one at the fitted levels from which on errors last, of trackers without biases."""
+INFLATION = 3.0  # rows with the information of one, at the fitted levels, from which errors last (without biases)
 
 STEPS = 30
 BIAS = "sigma_bias"
@@ -70,11 +68,8 @@ def fitted(tracker: NamedTracker, recording: RecordingFolder) -> OwnLevels:
         against = f"errors of the readings that last are {max(bias) / max(noise):.1f} times those that do not: {MOTION}"
     if against:
         return OwnLevels(tracker, f"{recording.name}: levels stay: {against}")
-    moved = [
-        f"{name} {_short(before[name].value)} → {_short(now[name].value)} {now[name].unit}".rstrip()
-        for p in result.parameters
-        for name in p.names
-    ]
+    names = [name for p in result.parameters for name in p.names]
+    moved = [f"{n} {_short(before[n].value)} → {_short(now[n].value)} {now[n].unit}".rstrip() for n in names]
     return OwnLevels(result.tracker, f"{recording.name}: fitted to its readings: {', '.join(moved)}")
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import fnmatch
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -33,22 +32,20 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 
 Tree = TypeVar("Tree")
 
-Vector = Float[Array | np.ndarray, " p"]
-"""Unconstrained numbers, on the host or traced."""
+Vector = Float[Array | np.ndarray, " p"]  # unconstrained numbers, on the host or traced
 
 TIED = "tied:"
 
 
-@dataclass(frozen=True)
-class Parameter:
+class Parameter(eqx.Module):
     """One tunable, or several tied to be equal: `names` in the tracker, and an `example` with unit and constraint.
 
     `label`: the tunable's name, or the pattern of tied ones.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...] = eqx.field(static=True)
     example: AbstractTunable
-    label: str
+    label: str = eqx.field(static=True)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -254,8 +251,7 @@ Of the logarithm of a noise level or another positive number, and of the logit o
 unit, as the latency of fixes in s.
 """
 
-DOF = 3.0
-"""Degrees of freedom."""
+DOF = 3.0  # degrees of freedom of these distributions
 
 
 class Penalty(NamedTuple):

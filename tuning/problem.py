@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,8 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Num, Shaped, UInt32
 
 from trackwright.trackers.core.data.recording import Batch
 from trackwright.trackers.core.filters.particle.filter import AbstractParticleFilter
-from trackwright.trackers.core.model.covariance import FEW, few
-from trackwright.trackers.core.model.tunable import AbstractTunable
+from trackwright.trackers.core.model.covariance import few
 from trackwright.trackers.core.run.chunks import (
     CHUNK,
     as_dtype,
@@ -39,27 +37,9 @@ Terms = Float[np.ndarray, "many k n"]
 Values = Float[np.ndarray, " many"]
 """Unconstrained vectors of p numbers, S of them or one; the terms of a number of them, and their values."""
 
-MAX_VECTORS = 8
-"""Most vectors in one compiled call: with some dozens of trajectories, eight cost little more than one."""
-
-MAX_GRADIENT_RATIO = 1e3
-"""Gradient size of a trajectory, relative to the median, above which the trajectory is excluded."""
-
-BESIDE = 2
-"""Numbers of a row beside the terms of the objective: its `AbstractObjective.squares`."""
-
-
-@dataclass(frozen=True)
-class Pieces:
-    """The `pieces` of all batches, made anew whenever they are looked through."""
-
-    batches: Sequence[Batch]
-    chunk: int = CHUNK
-    most: int = FEW
-
-    def __iter__(self) -> Iterator[Batch]:
-        for batch in self.batches:
-            yield from pieces(batch, self.chunk, self.most)
+MAX_VECTORS = 8  # most vectors in one compiled call: with some dozens of trajectories, eight cost little more than one
+MAX_GRADIENT_RATIO = 1e3  # size of a trajectory's gradient, relative to the median, above which it is excluded
+BESIDE = 2  # numbers of a row beside the terms of the objective: its `AbstractObjective.squares`
 
 
 class Point(eqx.Module):
@@ -67,22 +47,8 @@ class Point(eqx.Module):
 
     tracker: AbstractTracker
     objective: AbstractObjective
-    names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
-    labels: tuple[str, ...] = eqx.field(static=True)
-    examples: tuple[AbstractTunable, ...]
+    parameters: tuple[Parameter, ...]
     vectors: Float[Array, "S p"]
-
-    def __init__(
-        self,
-        tracker: AbstractTracker,
-        objective: AbstractObjective,
-        parameters: Sequence[Parameter],
-        vectors: Float[Array, "S p"],
-    ):
-        self.tracker, self.objective, self.vectors = tracker, objective, vectors
-        self.names = tuple(p.names for p in parameters)
-        self.labels = tuple(p.label for p in parameters)
-        self.examples = tuple(p.example for p in parameters)
 
     def at(self, vectors: Float[np.ndarray, "*S p"]) -> Point:
         """This point at other vectors (S, p) or one."""
@@ -90,8 +56,7 @@ class Point(eqx.Module):
 
     def tracker_at(self, vector: Vector) -> AbstractTracker:
         """The tracker with the parameters of one vector."""
-        parts = zip(self.names, self.examples, self.labels, strict=True)
-        return with_parameters(self.tracker, [Parameter(*part) for part in parts], vector)
+        return with_parameters(self.tracker, self.parameters, vector)
 
     def map_vectors(self, function: Callable[[Float[Array, " p"]], Any]) -> Any:
         """`function` of every vector, results stacked along a new first axis."""
@@ -123,10 +88,8 @@ def rows_of_runs(pairs: Sequence[tuple[Point, Batch]]) -> list[tuple[Float[np.nd
         tracker = tracker.for_positions() if point.objective.of_position else tracker
         tracked.append(((tracker, None), batch._replace(truth={})))
     runs = run_chunks(outputs, tracked)
-    return [
-        (np.asarray(called(_scored, point.objective, (run, batch)))[None],)
-        for (run, _), (point, batch) in zip(runs, pairs, strict=True)
-    ]
+    tracks = ((point.objective, (run, batch)) for (run, _), (point, batch) in zip(runs, pairs, strict=True))
+    return [(np.asarray(called(_scored, *track))[None],) for track in tracks]
 
 
 def _scored(objective: AbstractObjective, run: tuple[Output, Batch]) -> Float[Array, "k T B"]:
@@ -222,9 +185,9 @@ class Problem:
         dtype = batches[0].columns(0, 1).dt.dtype
         self.tracker = as_dtype(tracker, dtype)
         start = jnp.asarray(flatten(self.parameters)[None], dtype)
-        self.start = Point(self.tracker, self.objective, self.parameters, start)
+        self.start = Point(self.tracker, self.objective, tuple(self.parameters), start)
         most = most_few(self.tracker, gradient=True)
-        self.chunks = list(placed(Pieces(batches, chunk, most)))
+        self.chunks = list(placed(part for batch in batches for part in pieces(batch, chunk, most)))
         self.rows: list[Int[np.ndarray, " B"]] = [np.asarray(part.valid).sum(axis=0) for part in self.chunks]
         of_pieces = [piece_size(batch.size, len(batch.dt), chunk, most) for batch in batches]
         self.sizes = [size * -(-batch.size // size) for batch, size in zip(batches, of_pieces, strict=True)]
@@ -238,7 +201,8 @@ class Problem:
         # row.
         fitting = CHUNK // (1 << (trajectories - 1).bit_length())
         self.few, self.stochastic = few(trajectories), is_stochastic(self.tracker)
-        alone = self.few or has_particles(self.tracker) or not self.parameters
+        has_particles = isinstance(self.tracker, Tracker) and self.tracker.filter.has_particle_axis
+        alone = self.few or has_particles or not self.parameters
         self.vectors_per_call = 1 if alone else max(1, min(MAX_VECTORS, fitting))
 
     def evaluate(
@@ -308,11 +272,7 @@ class Problem:
         return self.discount * self.objective.nats_per_unit(sums)
 
     def compute(
-        self,
-        function: Callable[[Point, Batch], Any],
-        blocks: Sequence[Vectors],
-        reduced: Callable[[Any, Batch], Any],
-        realisation: int = 0,
+        self, function: Callable[..., Any], blocks: Sequence[Vectors], reduced: Callable[..., Any], realisation: int = 0
     ) -> list[list[Any]]:
         """`reduced(function(point, chunk), chunk)` of each chunk, at each block of vectors (S, p).
 
@@ -334,30 +294,20 @@ class Problem:
         self.filter_runs += size * int(self.valid.sum())
         padded = np.concatenate([vectors, np.repeat(vectors[-1:], -size % width, axis=0)])
         blocks = padded.reshape(len(padded) // width, width, vectors.shape[1])
-        reduced = _summed_rows if self.few else _sums
+
+        def summed(results: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
+            """The sums; those of rows without the numbers beside the terms."""
+            return tuple(np.sum(x[:, :-BESIDE], axis=-2, dtype=float) for x in results) if self.few else results
+
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
-            for of_part in self.compute(function, list(blocks), reduced, realisation)
+            for of_part in self.compute(function, list(blocks), summed, realisation)
         ]
 
 
 def is_stochastic(tracker: AbstractTracker) -> bool:
     """Whether the tracker uses random numbers."""
     return isinstance(getattr(tracker, "filter", None), AbstractParticleFilter)
-
-
-def has_particles(tracker: AbstractTracker) -> bool:
-    """Whether the filter's belief has an axis of particles or grid cells."""
-    return isinstance(tracker, Tracker) and tracker.filter.has_particle_axis
-
-
-def _sums(sums: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
-    return sums
-
-
-def _summed_rows(rows: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
-    """The sums of the rows of few trajectories, without the numbers beside the terms."""
-    return tuple(np.sum(x[:, :-BESIDE], axis=-2, dtype=float) for x in rows)
 
 
 @jax.jit

@@ -28,15 +28,13 @@ from trackwright.tuning.anchor_paths import (
 )
 from trackwright.tuning.calibrating import check_at_rest
 
-HIGHEST, ROUNDS = 1000.0, 3
-"""Largest height of tags, m: others are in other units; how often the design effect and the solution are computed."""
+HIGHEST, ROUNDS = 1000.0, 3  # largest height of tags, m: others are in other units; rounds of effect and solution
 
 EXACT, ASIDE, UNLIKELY, FLAT = 1e-3, 0.1, 4.0, 0.15
 """Deviation of exact positions, m; a frame's least height over base; ratio of log-likelihoods that excludes a place;
 deviation of walks from a plane, m, below which anchors may be on either side of it."""
 
-COMMON_DELAY, OWN_DELAY = RANGE_PRIOR[1][0], 0.1
-"""Standard deviations of delays before any range, m: of what all anchors share, and of each anchor's own."""
+COMMON_DELAY, OWN_DELAY = RANGE_PRIOR[1][0], 0.1  # sds of delays, m, before any range: of the shared, of each own
 
 DETERMINED, WEAK, UNSEEN = 0.25, 1.0, 100.0
 """Half-widths of 95 % intervals, m: the largest of determined and of weak coordinates, the least of unseen ones."""

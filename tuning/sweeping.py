@@ -19,8 +19,7 @@ from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import TIED, Parameter, select_parameters
 from trackwright.tuning.problem import Problem
 
-POINTS_PER_REPORT = 32
-"""Grid points between two progress reports."""
+POINTS_PER_REPORT = 32  # grid points between two progress reports
 
 
 @dataclass(frozen=True)
@@ -126,26 +125,14 @@ def sweep(
     rows = [batches] if isinstance(batches, Batch) else batches
     problem = Problem(tracker, rows, objective, parameters, weights=weights)
     points = grid_vectors(parameters, grids)
-    repeats = repeats if problem.stochastic else 1
-    values = np.stack([comparable_values(problem, points, repeat, report) for repeat in range(repeats)])
-    return Sweep(parameters, grids, values.reshape(repeats, *map(len, grids)), problem.filter_runs)
-
-
-def comparable_values(
-    problem: Problem,
-    points: Float[np.ndarray, "S p"],
-    realisation: int = 0,
-    report: Callable[[int], None] = lambda points: None,
-) -> Float[np.ndarray, " S"]:
-    """The objective (S,) at unconstrained vectors (S, p), without derivatives, for one realisation of random numbers.
-
-    Trajectories that are finite at none of the vectors are excluded; the objective is NaN where another one is not
-    finite, since values over different trajectories are not comparable.
-    """
-    parts = []
-    for first in range(0, len(points), POINTS_PER_REPORT):
-        parts.append(problem.terms(points[first : first + POINTS_PER_REPORT], realisation))
-        report(len(parts[-1]))
-    terms = np.concatenate(parts)
-    finite = np.isfinite(terms).all(axis=1)
-    return problem.values_of(terms[..., finite.any(axis=0)].sum(axis=-1))
+    values = []
+    for realisation in range(repeats if problem.stochastic else 1):
+        parts = []
+        for first in range(0, len(points), POINTS_PER_REPORT):
+            parts.append(problem.terms(points[first : first + POINTS_PER_REPORT], realisation))
+            report(len(parts[-1]))
+        terms = np.concatenate(parts)
+        # Values over different trajectories are not comparable. Those that are finite at no point are left out.
+        some = np.isfinite(terms).all(axis=1).any(axis=0)
+        values.append(problem.values_of(terms[..., some].sum(axis=-1)))
+    return Sweep(parameters, grids, np.reshape(values, (-1, *map(len, grids))), problem.filter_runs)

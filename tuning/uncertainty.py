@@ -28,26 +28,15 @@ from trackwright.tuning.objectives import AbstractObjective
 from trackwright.tuning.parameters import Parameter, physical, physical_errors, split
 from trackwright.tuning.problem import Evaluation, Problem, value_and_gradient
 
-MIN_CURVATURE = 1e-5
-"""Curvature of a direction, relative to the largest, below which it is undetermined: rounding."""
-
-MIN_TRAJECTORIES = 20
-"""Trajectories from which on there is a scatter."""
-
-MIN_COMPONENT = 0.1
-"""Component of a unit direction from which on a parameter belongs to the direction."""
-
-MAX_DISTANCE = 1.0
-"""Standard deviations between a point and the optimum beyond which the point has no interval."""
-
-MIN_SLOPE_NATS = 1.0
-"""Change of a likelihood, nats per factor of e, from which on it depends on a parameter."""
-
-LARGE_SIGMA = 1.0
-"""Standard deviation of an unconstrained number from which on it is hardly determined: a factor of e either way."""
-
-Interval = tuple[np.ndarray, np.ndarray]
-"""Lowest and highest value."""
+MIN_CURVATURE = 1e-5  # curvature of a direction, relative to the largest, below which it is undetermined: rounding
+MIN_TRAJECTORIES = 20  # trajectories from which on there is a scatter
+MIN_COMPONENT = 0.1  # component of a unit direction from which on a parameter belongs to the direction
+MAX_DISTANCE = 1.0  # standard deviations between a point and the optimum beyond which the point has no interval
+MIN_SLOPE_NATS = 1.0  # change of a likelihood, nats per factor of e, from which on it depends on a parameter
+LARGE_SIGMA = 1.0  # deviation of an unconstrained number from which it is hardly determined: a factor of e either way
+Interval = tuple[np.ndarray, np.ndarray]  # lowest and highest value
+Mask = Bool[np.ndarray, " p"]  # which of p numbers
+Square = Float[np.ndarray, "p p"]
 
 By = Literal["curvature", "scatter", "either"]
 """Source of an interval: the posterior, the sandwich, or the wider of the two."""
@@ -121,10 +110,7 @@ class Uncertainty:
 
 
 def uncertainty_at(
-    problem: Problem,
-    optimum: Optimum,
-    at_bound: Bool[np.ndarray, " p"] | None = None,
-    kept: Bool[np.ndarray, " p"] | None = None,
+    problem: Problem, optimum: Optimum, at_bound: Mask | None = None, kept: Mask | None = None
 ) -> Uncertainty:
     """The uncertainty of an optimum with the parameters `at_bound` (p,), and those `kept` (p,) at their start, fixed.
 
@@ -190,9 +176,7 @@ def unidentifiable(term_gradients: Float[np.ndarray, "*many p n"]) -> Bool[np.nd
     return np.all((each == 0) | ~finite, axis=1) & finite.any(axis=1)
 
 
-def determined(
-    hessian: Float[np.ndarray, "p p"], free: Bool[np.ndarray, " p"] | None = None
-) -> tuple[Float[np.ndarray, "p m"], Float[np.ndarray, "p p"], Bool[np.ndarray, " p"]]:
+def determined(hessian: Square, free: Mask | None = None) -> tuple[Float[np.ndarray, "p m"], Square, Mask]:
     """The undetermined directions (p, m), the inverse Hessian along all others, and the parameters (p,) in the former.
 
     Undetermined: without positive curvature, up to rounding; all directions where the Hessian isn't finite. Only the
@@ -213,8 +197,7 @@ def determined(
     return missing, inverse, parts
 
 
-STEP = 0.02
-"""Step of the central differences in unconstrained coordinates: 2 % of a noise level."""
+STEP = 0.02  # step of the central differences in unconstrained coordinates: 2 % of a noise level
 
 
 class Optimum(NamedTuple):
@@ -269,9 +252,8 @@ def influence(
     From terms (k, n) and their derivatives (k, p, n); exact, since the objective is a function of weighted sums.
     """
     first, second = (np.asarray(x, float) for x in _derivatives(objective, jnp.asarray(terms.sum(axis=-1))))
-    return np.einsum("k,kpn->np", first, term_gradients) + np.einsum(
-        "kn,kl,lp->np", terms, second, term_gradients.sum(axis=-1)
-    )
+    total = term_gradients.sum(axis=-1)
+    return np.einsum("k,kpn->np", first, term_gradients) + np.einsum("kn,kl,lp->np", terms, second, total)
 
 
 @eqx.filter_jit
@@ -310,14 +292,12 @@ def refit(
         trial[:, free] += step
         evaluated = problem.evaluate(trial, weights)
         common = used & evaluated.used
-        before, after = (
-            problem.values_over(common * count, v, t) for v, t in ((here, terms), (trial, evaluated.terms))
-        )
+        before = problem.values_over(common * count, here, terms)
+        after = problem.values_over(common * count, trial, evaluated.terms)
         with np.errstate(invalid="ignore"):
             better = (after < before) & evaluated.finite
-        inverses = np.where(
-            better[:, None, None], _updated(inverses, step, evaluated.gradients[:, free] - gradients), inverses
-        )
+        updated = _updated(inverses, step, evaluated.gradients[:, free] - gradients)
+        inverses = np.where(better[:, None, None], updated, inverses)
         here = np.where(better[:, None], trial, here)
         terms[better], used[better] = evaluated.terms[better], evaluated.used[better]
         gradients = np.where(better[:, None], evaluated.gradients[:, free], gradients)
@@ -338,14 +318,9 @@ def _updated(
     return np.where(sound[:, None, None], new, inverses)
 
 
-PART = 0.05
-"""Part of what a fit gained that a flat number may have gained, where the objective is no likelihood."""
-
-NATS = 1.92
-"""Rise of a likelihood, nats, within which a value is in the 95 % interval of a profile (Wilks 1938)."""
-
-ROUNDS = 8
-"""Steps of the other numbers with one at its starting value."""
+PART = 0.05  # part of what a fit gained that a flat number may have gained, where the objective is no likelihood
+NATS = 1.92  # rise of a likelihood, nats, within which a value is in the 95 % interval of a profile (Wilks 1938)
+ROUNDS = 8  # steps of the other numbers with one at its starting value
 
 
 def flat_components(uncertainty: Uncertainty) -> list[int]:

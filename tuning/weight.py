@@ -21,20 +21,11 @@ from trackwright.tuning.optimisation import FitState, MultiStart, initial_state
 from trackwright.tuning.problem import BESIDE, Point, Problem, plain_rows, weighted_sum
 from trackwright.tuning.uncertainty import optimum, refit
 
-MOST_ROWS = 4.0
-"""Independent estimates that one recording counts for at most: levels of their errors differ between recordings."""
-
-RATIO = 4.0
-"""Ratio of the weights that left-out recordings may ask for, two steps from the first at most."""
-
-FOLDS, ROUNDS = 4, 4
-"""Parts of the recordings that are left out in turn, at most, and the steps of each fit without one."""
-
-MORE = 1.5
-"""Growth of the part of a likelihood that counts, from the start to the best point, with which a fit goes on."""
-
-BETTER = 0.02
-"""Gain in left-out recordings, nats per unit of the objective, from which on they ask for another weight."""
+MOST_ROWS = 4.0  # most independent estimates that a recording counts for: levels of errors differ between recordings
+RATIO = 4.0  # ratio of the weights that left-out recordings may ask for, two steps from the first at most
+FOLDS, ROUNDS = 4, 4  # most parts of the recordings that are left out in turn; steps of each fit without one
+MORE = 1.5  # growth of the part of a likelihood that counts, from the start to the best point, with which a fit goes on
+BETTER = 0.02  # gain in left-out recordings, nats per unit of the objective, from which on they ask for another weight
 
 
 def discount(problem: Problem, vector: Float[np.ndarray, " p"], recordings: int) -> float:
@@ -114,20 +105,11 @@ def _with_best(state: FitState, winner: int, vector: Float[np.ndarray, " p"], sc
     return state._replace(best_vectors=best_vectors, best_scores=best_scores)
 
 
-WINDOWS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Lengths of the windows, s, each twice the one before."""
-
-MIN_WINDOWS = 20
-"""Windows of a length for an estimate of a variance to a third."""
-
-FLAT = 1.05
-"""Growth of the inflation from a window to one of twice the length below which it has reached the errors'."""
-
-NO_SCATTER = 1e-12
-"""Scatter of ratios, relative to the sum of their squares, below which they are equal but for rounding."""
-
-MIN_ROWS = 4
-"""Rows of a window, on average, below which it is too short."""
+WINDOWS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # lengths of the windows, s, each twice the one before
+MIN_WINDOWS = 20  # windows of a length for an estimate of a variance to a third
+FLAT = 1.05  # growth of the inflation from a window to one of twice the length below which it has reached the errors'
+NO_SCATTER = 1e-12  # scatter of ratios, as a share of their squares, below which they are equal but for rounding
+MIN_ROWS = 4  # rows of a window, on average, below which it is too short
 
 
 class WindowSums(NamedTuple):
@@ -156,12 +138,12 @@ class WindowSums(NamedTuple):
 def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tuple[int, float]:
     """The rows that count at the vector (p,), and how many of them carry the information of one.
 
-    1 for white errors. Windows are lengthened until the inflation is flat, or the recordings are too short for
-    longer ones; it is extrapolated in the inverse of the length, which removes most of what correlation beyond a window
-    adds.
+    1 for white errors. Windows are lengthened until the inflation is flat, or the recordings are too short for longer
+    ones; it is extrapolated in the inverse of the length, which removes most of what correlation beyond a window adds.
     """
     # Of few trajectories by the program that the starts were compared with.
-    function, reduced = (plain_rows, _sums_of_rows) if problem.few else (_squares_of_rows, _sums)
+    of_rows = plain_rows, lambda rows, chunk: _sums(rows[0][0, -BESIDE:], chunk)
+    function, reduced = of_rows if problem.few else (_squares_of_rows, _sums)
     by_chunk = [chunk_sums for (chunk_sums,) in problem.compute(function, [np.atleast_2d(vector)], reduced)]
     sums = WindowSums(*(np.sum(np.stack(parts), axis=0) for parts in zip(*by_chunk, strict=True)))
     if sums.rows < MIN_WINDOWS:
@@ -191,11 +173,6 @@ def window_sums(
         sums, sizes = np.add.reduceat(ratios, first), np.diff(np.append(first, len(times)))
         of_windows[:, k] = len(first), sums @ sums, sums @ sizes, sizes @ sizes
     return WindowSums(len(times), float(ratios.sum()), float(ratios @ ratios), of_windows)
-
-
-def _sums_of_rows(results: Any, chunk: Batch) -> WindowSums:
-    """As `_sums`, from `plain_rows`."""
-    return _sums(results[0][0, -BESIDE:], chunk)
 
 
 def _sums(results: Any, chunk: Batch) -> WindowSums:

@@ -112,10 +112,8 @@ def export(
     from trackwright.trackers.recordings.tracks_table import require_new
 
     require_new(out, "tracker.c", force)
-    numbers, folder = (
-        Numbers(tracker=tracker, noise=noise),
-        Selection(() if tag is None else (tag,)).of(read_recording(run)),
-    )
+    numbers, part = Numbers(tracker=tracker, noise=noise), Selection(() if tag is None else (tag,))
+    folder = part.of(read_recording(run))
     numbers.read()
     written = write_c(numbers.build(chosen_tracker([folder], numbers), folder), folder, out)
     print(f"wrote {', '.join(map(str, written))}")

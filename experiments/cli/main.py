@@ -86,14 +86,22 @@ def _settle() -> None:
 
 
 def _code(app: Any, program: str) -> int:
-    """The exit code of an app for the words of this process."""
+    """The exit code of an app for the words of this process, 2 and a line where it does not take them."""
+    from cyclopts import CycloptsError
+
     from trackwright.trackers.core.errors import UnusableInput
 
     try:
-        return answered(app, sys.argv[1:], program)
-    except UnusableInput as problem:
-        print(f"trackwright: {problem}", file=sys.stderr)
-        return 2
+        code: int | None = app(sys.argv[1:])
+        return code or 0
+    except CycloptsError as error:
+        error.verbose = False
+        said = str(error).replace("Unused Tokens", "words beyond what it takes")
+        problem = f"{said} See `{' '.join((program, *(error.command_chain or ())))} --help`."
+    except UnusableInput as error:
+        problem = str(error)
+    print(f"trackwright: {problem}", file=sys.stderr)
+    return 2
 
 
 def run_alone(function: Callable[..., Any], program: str) -> NoReturn:
@@ -135,18 +143,3 @@ def _read(kind: Any, tokens: Sequence[Token]) -> Any:
         if not whole or (isinstance(value, Path) and not token.value):
             raise CoercionError(token=token, target_type=type(value))
     return converted
-
-
-def answered(app: App, words: Sequence[str], program: str) -> int:
-    """The exit code of the program for these words; raises UnusableInput, in one line, where it does not take them."""
-    from cyclopts import CycloptsError
-
-    from trackwright.trackers.core.errors import UnusableInput
-
-    try:
-        code: int | None = app(words)
-    except CycloptsError as error:
-        error.verbose = False
-        said = str(error).replace("Unused Tokens", "words beyond what it takes")
-        raise UnusableInput(f"{said} See `{' '.join((program, *(error.command_chain or ())))} --help`.") from error
-    return code or 0

@@ -199,7 +199,7 @@ class TuneOptions:
 
     Args:
         out: the folder to write to.
-        objective: state-nll or rmse (need truth), nll, or a sum as state-nll+0.1*rmse; default: by the truth there is.
+        objective: state-nll or rmse (need truth), or nll; default: by the truth there is.
         tune: shell patterns of tunables, e.g. 'motion.*'; 'tied:PATTERN' keeps all matches equal. Default: the noise
             levels of motion and sensors; with truth the latency of fixes, else dof and skew of readings.
         freeze: patterns of tunables to keep.

@@ -39,7 +39,9 @@ def study(
     from trackwright.trackers.recordings.files import write_whole
 
     if not what:
-        print(pages.study_names([load_study(name) for name in available_studies()]))
+        studies = [load_study(name) for name in available_studies()]
+        width = max(len(one.name) for one in studies)
+        print("\n".join(f"{one.name:{width}}  {one.about}" for one in studies))
         return 0
     keep_programs()
     declared = load_study(what, runs, seed)

@@ -12,9 +12,9 @@ import polars as pl
 import trackwright as tw
 from trackwright.experiments.cli.console import LEFT_OUT, chosen_tracker, notices, write_manifest
 from trackwright.experiments.cli.options import TrackOptions
-from trackwright.experiments.pages.report import typed
+from trackwright.experiments.pages.report import typed, write_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
-from trackwright.experiments.pages.track import PAGE, run_data, write_track_page
+from trackwright.experiments.pages.track import PAGE, run_data, track_page
 from trackwright.experiments.text.tables import figures_drawn, terminal_width, to_json, to_text, uncapitalised
 from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.catalogue import spec_of
@@ -95,7 +95,7 @@ def track_together(
         begin("report")
         known = evaluation if evaluation.overall["n"] else None
         page = run_data(scored, known, f"{name}: {run.named.spec.about}", name)
-        write_track_page(out / PAGE, [page], typed(sys.argv))
+        write_page(out / PAGE, track_page([page], typed(sys.argv)))
         written.append(PAGE)
     if options.figures == "png" or options.figures == "pdf":  # matplotlib takes a third of a second to import
         from trackwright.experiments.pages.charts import plot_tracks

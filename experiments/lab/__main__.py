@@ -15,8 +15,6 @@ TABLES = {
     "real-recordings": "validation.real_recordings:cases",
     "generalisation": "validation.real_recordings:generalisation_cases",
     "levels": "validation.levels:cases",
-    "nis": "validation.nis:cases",
-    "own-levels": "validation.own_levels:cases",
     "programs": "validation.speed:program_cases",
     "commands": "validation.speed:command_cases",
     "studies": "validation.speed:study_cases",

@@ -99,19 +99,15 @@ def text(value: Any) -> str:
 
 def write(file: Path, rows: Sequence[Mapping[str, str]]) -> Path:
     """Write a table; a row may lack columns."""
-    # polars takes a quarter of a second to import, which the help of `demo` need not wait for.
+    # It takes a quarter of a second to import, which the help of `demo` need not wait for.
+    import polars as pl
+
     from trackwright.trackers.recordings.files import atomic_write
 
     columns = list(dict.fromkeys([*KEY, *(name for row in rows for name in row if name != "error"), "error"]))
-
-    def to(path: Path) -> None:
-        with path.open("w", encoding="utf-8", newline="") as opened:
-            table = csv.DictWriter(opened, columns, restval="", lineterminator="\n")
-            table.writeheader()
-            table.writerows(rows)
-
+    table = pl.DataFrame(rows, dict.fromkeys(columns, pl.String)).with_columns(pl.all().replace("", None))
     file.parent.mkdir(parents=True, exist_ok=True)
-    return atomic_write(file, to)
+    return atomic_write(file, table.write_csv)
 
 
 def read(file: Path) -> list[dict[str, str]]:
@@ -151,14 +147,11 @@ def required_recordings() -> Path:
     return folder
 
 
-def command(*arguments: str | Path, folder: Path | None = None) -> None:
-    """Print a `trackwright` command and run it, its output to the terminal; exits with its code if it fails.
-
-    `folder`: the one it runs in; the current one by default.
-    """
+def command(*arguments: str | Path) -> None:
+    """Print a `trackwright` command and run it, its output to the terminal; exits with its code if it fails."""
     print(f"\n$ trackwright {shlex.join(map(str, arguments))}", flush=True)
     line = [sys.executable, "-m", "trackwright", *map(str, arguments)]
-    if code := subprocess.run(line, check=False, cwd=folder).returncode:
+    if code := subprocess.run(line, check=False).returncode:
         sys.exit(code)
 
 

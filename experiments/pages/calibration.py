@@ -64,10 +64,13 @@ class Source(NamedTuple):
     def fit(self, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Terms, their standard deviations, and whether the recordings determine each, rather than the prior."""
         if self.table == "stations":
-            station, k = calibration.stations[self.name], self.column
-            return _told(station.coefficients[k], station.covariances[k], ANGLE_PRIOR[1])
-        anchor = calibration.anchors[self.name]
-        return _told(anchor.coefficients, anchor.covariance, RANGE_PRIOR[1])
+            station, k, prior = calibration.stations[self.name], self.column, ANGLE_PRIOR[1]
+            terms, covariance = station.coefficients[k], station.covariances[k]
+        else:
+            anchor, prior = calibration.anchors[self.name], RANGE_PRIOR[1]
+            terms, covariance = anchor.coefficients, anchor.covariance
+        sigmas = np.sqrt(np.diag(covariance))
+        return terms, sigmas, sigmas < DETERMINED * prior
 
     def errors(self, calibration: Calibration | None) -> np.ndarray:
         """Measured minus expected values (N,), rad or m, NaN where not measured; None: without a calibration."""
@@ -133,11 +136,6 @@ def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
     for table, (kind, quantities) in of.items():
         for name, pairs in calibration_pairs(folders, KINDS[kind]).items():
             yield from (Source(table, name, quantity, k, pairs) for k, quantity in enumerate(quantities))
-
-
-def _told(terms: np.ndarray, covariance: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    sigmas = np.sqrt(np.diag(covariance))
-    return terms, sigmas, sigmas < DETERMINED * prior
 
 
 def _term(value: float, sigma: float, determined: bool) -> str:

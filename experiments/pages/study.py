@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from trackwright.experiments.monte_carlo.declaration import Study, short
+from trackwright.experiments.monte_carlo.declaration import short
 from trackwright.experiments.monte_carlo.results import NAMES, Results
 from trackwright.experiments.pages.chart import LINES, Chart, Line, band, is_logarithmic
 from trackwright.experiments.pages.report import report_page, typed
@@ -21,7 +21,7 @@ from trackwright.experiments.text.expectations import (
     ratio_text,
     with_interval,
 )
-from trackwright.experiments.text.tables import Section, Unit, aligned, heading, sections_text, units_of, yes_no
+from trackwright.experiments.text.tables import Section, Unit, heading, sections_text, units_of, yes_no
 from trackwright.trackers.recordings.files import json_text
 
 REPORT = "report.html"
@@ -168,8 +168,3 @@ def _claim(claim: Claim) -> dict[str, Any]:
     names = "printed", "unit", "ratio", "compares_rest", "origin", "reached", "note"
     same = {name: getattr(claim, name) for name in names}
     return {"figure": claim.quantity, **same, "ours": claim.ours._asdict(), "origin": claim.origin.value}
-
-
-def study_names(studies: Sequence[Study]) -> str:
-    """Names and questions of the studies."""
-    return aligned([(s.name, s.about) for s in studies])

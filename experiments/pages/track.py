@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import polars as pl
 
 from trackwright.experiments.pages.chart import numbers
 from trackwright.experiments.pages.charts import coverage, error_cdf, residuals
-from trackwright.experiments.pages.report import page, write_page
+from trackwright.experiments.pages.report import page
 from trackwright.experiments.pages.scored_tracks import ScoredRecording, ScoredTracks
 from trackwright.experiments.text.tables import Section, cells, length_unit, shown_metric, title_of
 from trackwright.trackers.core.data.consistency import nis_quantile
@@ -43,17 +42,12 @@ TYPES = {"t": "f8", "tag": "u2", "source": "u2", "status": "u1"}
 """Types of columns that are no `f4`, in which times after a jump of the clock would run together."""
 
 
-def write_track_page(path: Path, runs: Sequence[Mapping[str, Any]], command: str, kind: str = "track") -> None:
-    """Writes the page, whole or not at all. `runs`: from `run_data`, one for each tracker; `kind`: who wrote it."""
-    write_page(path, track_page(runs, command, kind))
-
-
-def track_page(runs: Sequence[Mapping[str, Any]], command: str = "", kind: str = "track") -> str:
-    """The text of the page; arguments as of `write_track_page`."""
+def track_page(runs: Sequence[Mapping[str, Any]], command: str = "") -> str:
+    """The text of the page. `runs`: from `run_data`, one for each tracker."""
     names = list(dict.fromkeys(recording["name"] for run in runs for recording in run["recordings"]))
     title = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    told = {"title": title, "kind": kind, "tracker": runs[0]["tracker"], "command": command, "metrics": _metrics(runs)}
-    return page("track.html", **told, data={"runs": runs}, scripts=SCRIPTS, moving=True)
+    told = {"title": title, "kind": "track", "tracker": runs[0]["tracker"], "command": command}
+    return page("track.html", **told, metrics=_metrics(runs), data={"runs": runs}, scripts=SCRIPTS, moving=True)
 
 
 def run_data(

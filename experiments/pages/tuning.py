@@ -21,7 +21,6 @@ from trackwright.trackers.evaluation.evaluate import Evaluation, covariance_stat
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
-from trackwright.trackers.recordings.tracks import Trajectory
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fit_warnings import Issue
 from trackwright.tuning.fitting import FitResult
@@ -191,11 +190,6 @@ def traces_of(result: FitResult) -> list[Trace]:
     return [Trace(np.array(objective), np.stack(values)) for objective, values in columns]
 
 
-def recording_names(trajectories: Sequence[Trajectory]) -> list[str]:
-    """The recordings of trajectories."""
-    return list(dict.fromkeys(trajectory.folder.name for trajectory in trajectories))
-
-
 def tuning_page(
     result: FitResult, data: FitData, objective: str, compared: Compared, intervals: Mapping[str, Interval],
     issues: Sequence[Issue], *, tracker: str, cautions: Sequence[str], notes: Sequence[str],
@@ -205,7 +199,7 @@ def tuning_page(
     parameters = tuned_parameters(result, intervals, issues)
     word, sentence, warnings = advice(parameters, compared, [issue.text for issue in issues], cautions)
     summary = Markup('<b class="{}">{}</b> {}').format("better" if word == "Better." else "worse", word, sentence)
-    training, held_out = recording_names(data.training), recording_names(data.held_out)
+    training, held_out = (dict.fromkeys(t.folder.name for t in part) for part in (data.training, data.held_out))
     settings = {
         "Tracker": f"{tracker}: {spec_of(tracker).about}",
         "Objective": f"{objective}, {number(result.start_value)} → {number(result.value)}",

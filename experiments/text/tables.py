@@ -126,9 +126,6 @@ def uncapitalised(text: str) -> str:
     return text if text[:2].isupper() else text[0].lower() + text[1:]
 
 
-UNLIMITED = 100_000
-"""Characters a line where a table is not to be wrapped."""
-
 SHOWN_TRACKS, SHOWN_RECORDINGS = 10, 5
 """The most tracks listed per recording, and recordings of an archive: the worst."""
 
@@ -191,15 +188,7 @@ def rendered(width: int, *parts: RenderableType) -> str:
 
 def width_of(table: Table) -> int:
     """Characters a line of the table without wrapping."""
-    return Console(width=UNLIMITED, markup=False, emoji=False).measure(table).maximum
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Rows as lines with two spaces between columns, without a frame."""
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), pad_edge=False)
-    for row in rows:
-        table.add_row(*row)
-    return rendered(UNLIMITED, table).rstrip("\n")
+    return Console(width=100_000, markup=False, emoji=False).measure(table).maximum
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:

@@ -72,10 +72,3 @@ def stages(what: str) -> Iterator[Begin]:
     finally:
         ended.set()
         sys.stdout.write(printed.getvalue())
-
-
-@contextmanager
-def progress(what: str, total: int) -> Iterator[Advance]:
-    """One stage of known length; yields the function that advances it."""
-    with stages(what) as begin:
-        yield begin(what, total)

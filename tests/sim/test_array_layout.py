@@ -5,7 +5,14 @@ import itertools
 import numpy as np
 import pytest
 
-from trackwright.experiments.lab.papers.will_2020._work_stand import SMALLEST_SPACING, TABLE_1_DEG, fitted_layout
+from trackwright.experiments.lab.papers.will_2020._work_stand import (
+    ALL,
+    PRINTED_DEG,
+    SETS,
+    SMALLEST_SPACING,
+    fitted_layout,
+    in_use,
+)
 from trackwright.trackers.aoa.phases import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH, boresight_bounds
 
 
@@ -21,15 +28,15 @@ def _bounds_by_pseudo_inverse(antennas):
 
 
 def test_the_bounds_of_the_antenna_sets_stand_in_the_ratios_of_table_1():
-    bounds = [_bounds_by_pseudo_inverse(DEFAULT_ANTENNAS[np.array(chosen) - 1]) for chosen in TABLE_1_DEG]
-    ratios = np.array(bounds) / np.array(list(TABLE_1_DEG.values()))
+    bounds = [_bounds_by_pseudo_inverse(DEFAULT_ANTENNAS[in_use(name)]) for name in SETS]
+    ratios = np.array(bounds) / np.array(list(PRINTED_DEG.values()))
     # Rounding the places to 0.01 mm moves the smallest extent, of some millimetres, by half a per cent at most.
     np.testing.assert_allclose(ratios / ratios[0, 0], 1, rtol=0.01)
 
 
-@pytest.mark.parametrize("chosen", TABLE_1_DEG)
-def test_the_closed_form_of_the_bounds_is_that_of_all_pairwise_differences(chosen):
-    antennas = DEFAULT_ANTENNAS[np.array(chosen) - 1]
+@pytest.mark.parametrize("name", SETS)
+def test_the_closed_form_of_the_bounds_is_that_of_all_pairwise_differences(name):
+    antennas = DEFAULT_ANTENNAS[in_use(name)]
     np.testing.assert_allclose(boresight_bounds(antennas, sigma_p=0.3), 0.3 * _bounds_by_pseudo_inverse(antennas))
 
 
@@ -41,11 +48,10 @@ def test_the_array_fills_its_box_with_antennas_half_a_wavelength_apart():
 
 
 def test_the_antenna_sets_are_small_and_large_where_the_paper_says():
-    extent = {chosen: np.ptp(DEFAULT_ANTENNAS[np.array(chosen) - 1], axis=0) for chosen in TABLE_1_DEG}
-    whole = extent[1, 2, 3, 4, 5, 6, 7, 8]
-    assert extent[3, 7, 8][1] < whole[1] / 4
-    assert extent[1, 2, 5][0] < whole[0] / 4
-    assert np.all(extent[2, 3, 6] > 0.9 * whole)
+    extent = {name: np.ptp(DEFAULT_ANTENNAS[in_use(name)], axis=0) for name in SETS}
+    assert extent["3-7-8"][1] < extent[ALL][1] / 4
+    assert extent["1-2-5"][0] < extent[ALL][0] / 4
+    assert np.all(extent["2-3-6"] > 0.9 * extent[ALL])
 
 
 def test_the_fit_finds_the_layout_that_is_stored():

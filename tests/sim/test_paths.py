@@ -6,20 +6,11 @@ import numpy as np
 import pytest
 
 from trackwright.sim.keys import trajectory_keys
-from trackwright.sim.paths import WORK_VOLUME, hand_motion, helix, point_to_point
+from trackwright.sim.paths import WORK_VOLUME, hand_motion, helix
 
 ELSEWHERE = np.array([[2.0, -1.0, 0.8], [3.5, 0.5, 1.0]])
 KEYS, TIMES = trajectory_keys(0, np.arange(100)), np.arange(200) / 10
-POINTS = np.array([[0.0, 0.0, 0.1], [0.3, 0.0, 0.1], [0.0, 0.3, 0.1], [0.3, 0.3, 0.1]])
-MOMENTS = np.arange(0, 20, 0.05)
-EVERY_PATH = {
-    "helix": helix,
-    "hand": hand_motion,
-    "hurried hand": partial(hand_motion, speed=3.0),
-    "point to point": lambda keys, times, volume=None: point_to_point(
-        keys, times, POINTS if volume is None else volume
-    ),
-}
+EVERY_PATH = {"helix": helix, "hand": hand_motion, "hurried hand": partial(hand_motion, speed=3.0)}
 
 
 @pytest.mark.parametrize("path", EVERY_PATH.values(), ids=EVERY_PATH.keys())
@@ -62,29 +53,3 @@ def test_hand_motion_has_the_stated_speed_and_acceleration(volume):
     # About 10,000 independent values: a standard error of about 1 % of each, the squash's tails included.
     assert np.sqrt((velocity**2).sum(axis=-1).mean()) == pytest.approx(speed, rel=0.04)
     assert np.sqrt((acceleration**2).sum(axis=-1).mean()) == pytest.approx(2.9 * speed**2 / reach, rel=0.05)
-
-
-@pytest.fixture(scope="module")
-def paths():
-    """Twenty paths over four points, one second at rest on each."""
-    return point_to_point(trajectory_keys(3, np.arange(20)), MOMENTS, POINTS, speed=0.3, rest_s=1.0)
-
-
-def test_every_other_point_follows_a_point_and_none_itself(paths):
-    apart, pairs = np.linalg.norm(paths[:, :, None] - POINTS, axis=-1), set()
-    at, off = apart.argmin(axis=-1), apart.min(axis=-1)
-    # A second at rest, then 1 s for the sides and 1.4 s for the diagonals.
-    assert 0.4 < np.mean(off < 1e-9) < 0.65
-    for row, still in zip(at, off < 1e-9, strict=True):
-        begun = np.flatnonzero(still & ~np.append(False, still[:-1]))
-        assert np.all(np.diff(row[begun]) != 0)
-        pairs |= {*zip(row[begun][:-1].tolist(), row[begun][1:].tolist(), strict=True)}
-    assert len(pairs) == 12
-
-
-def test_motions_have_the_speed_profile_of_minimum_jerk(paths):
-    speed = np.linalg.norm(np.diff(paths, axis=1), axis=-1) / 0.05
-    # Minimum jerk: 15/8 of the mean speed in the middle, zero at the ends.
-    assert speed.max() == pytest.approx(0.3 * 15 / 8, rel=0.02)
-    # The largest acceleration is 10/√3 of distance over time squared, largest for the shortest distance, 0.3 m in 1 s.
-    assert np.abs(np.diff(speed, axis=1)).max() / 0.05 < 10 / np.sqrt(3) * 0.3

@@ -12,7 +12,7 @@ from tests.tuning.worlds import line_tracker, walks
 from trackwright.trackers.catalogue import TRACKERS
 from trackwright.trackers.core.data.recording import Recording, stack
 from trackwright.trackers.core.run.chunks import as_dtype
-from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
+from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.parameters import component_names, flatten, select_parameters, with_parameters
 from trackwright.tuning.problem import Problem
 from trackwright.tuning.uncertainty import unidentifiable
@@ -64,11 +64,13 @@ def test_the_derivative_by_every_tunable_is_the_central_difference(case):
     error = RootMeanSquareError("direction" if bearing_only else "position", 2 if planar or bearing_only else 3)
     if "in the plane of the array" in case.name:
         error = NegativeLogLikelihood()  # an angle in the array's plane has no direction to compare
-    both = Weighted((NegativeLogLikelihood(), error), (1.0, 1.0))
     model = as_dtype(tracker, batch.dt.dtype)
 
+    def both(output, truth):
+        return *NegativeLogLikelihood().terms(output, truth), *error.terms(output, truth)
+
     def figures(v, rows=batch):
-        sums = [jnp.sum(x) for x in with_parameters(model, parameters, v).accumulate(rows, both.terms)]
+        sums = [jnp.sum(x) for x in with_parameters(model, parameters, v).accumulate(rows, both)]
         heard = sums[1] > 0  # a baseline has no likelihood
         return jnp.stack([jnp.where(heard, sums[0] / jnp.where(heard, sums[1], 1.0), 0.0), error.value(sums[2:])])
 

@@ -17,13 +17,7 @@ from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.evaluation.evaluate import rows_of
 from trackwright.trackers.evaluation.rows import covariances
 from trackwright.tuning.data import fit_data
-from trackwright.tuning.objectives import (
-    HEIGHT_WEIGHT,
-    NegativeLogLikelihood,
-    RootMeanSquareError,
-    Weighted,
-    parse_objective,
-)
+from trackwright.tuning.objectives import HEIGHT_WEIGHT, NegativeLogLikelihood, RootMeanSquareError, parse_objective
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
 
@@ -175,16 +169,6 @@ def test_the_objective_is_the_figure_of_the_estimates_shown(name, values, smooth
     for (objective, dimensions), wanted in shown.items():
         goal = parse_objective(objective, quantity, dimensions)
         assert figure(model, data.rows.batches, goal) == pytest.approx(wanted, rel=rtol, abs=rtol), objective
-
-
-def test_a_sum_adds_its_parts_in_the_order_of_the_text():
-    objective = parse_objective("0.25*rmse + 3*nll", dimensions=1)
-    assert objective == Weighted((RootMeanSquareError("position", 1), NegativeLogLikelihood()), (0.25, 3.0))
-    assert float(objective.value(np.array([12.0, 3.0, 10.0, 4.0]))) == pytest.approx(0.25 * 2.0 + 3 * 2.5)
-    # A likelihood in another unit is one still; a sum of two objectives is none.
-    assert parse_objective("2*nll").nats_per_unit(np.array([5.0, 6.0])) == pytest.approx(3.0)
-    assert not objective.is_likelihood
-    assert objective.needs_truth
 
 
 def test_a_tag_whose_true_place_is_the_origin_has_an_error():

@@ -214,9 +214,8 @@ def sensor_checks(
         error, size = np.abs(exact - numeric), max(np.abs(numeric).max(), 1e-9)
         k, j = np.unravel_index(int(np.argmax(error)), error.shape)
         found = f"the derivative of whitened {names[k]} by {component_names(view)[j]} is {exact[k, j]:.6g}"
-        assert error.max() <= 1e-4 * size, (
-            f"{found}, by difference quotients {numeric[k, j]:.6g}; usual fix: no stop_gradient"
-        )
+        fix = f"by difference quotients {numeric[k, j]:.6g}; usual fix: no stop_gradient"
+        assert error.max() <= 1e-4 * size, f"{found}, {fix}"
 
     @Check
     def density() -> None:

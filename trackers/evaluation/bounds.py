@@ -81,10 +81,8 @@ def _terms(tracker: Tracker, part: tuple[Row, State, State]) -> tuple[Array, ...
         valid = of[0].valid
         each, weight = jax.vmap(trajectory, in_axes=-1)(*of), jnp.where(valid, jnp.ones_like(of[0].dt), 0.0)
         means = [jnp.tensordot(weight / jnp.maximum(weight.sum(), 1.0), x, 1) for x in each]
-        apart = [
-            jnp.max(jnp.where(valid[:, None, None], jnp.abs(x - m[None]), 0.0))
-            for x, m in zip(each, means, strict=True)
-        ]
+        away = (jnp.abs(x - m[None]) for x, m in zip(each, means, strict=True))
+        apart = [jnp.max(jnp.where(valid[:, None, None], one, 0.0)) for one in away]
         largest = [jnp.maximum(jnp.max(jnp.abs(m)), jnp.finfo(weight.dtype).tiny) for m in means]
         return *means, jnp.maximum(apart[0] / largest[0], apart[1] / largest[1])
 

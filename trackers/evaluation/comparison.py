@@ -19,11 +19,8 @@ from trackwright.trackers.evaluation.rows import correlation_times, main_size
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.tracks_table import track_keys
 
-MOST_PIECES, LEAST_PIECES, MANY_TRACKS = 30, 5, 30
-"""Pieces of time at most, pieces of an interval at least, and tracks from which each is a piece."""
-
-CORRELATION_TIMES, BINS = 4.0, 600
-"""Least length of a piece in correlation times of the difference, and the bins of time in which it is found."""
+MOST_PIECES, LEAST_PIECES, MANY_TRACKS = 30, 5, 30  # pieces at most, for an interval at least; tracks to be pieces
+CORRELATION_TIMES, BINS = 4.0, 600  # least length of a piece in correlation times of the difference; bins to find these
 
 COMPARED = ("rmse_m", "median_m", "p95_m", "rmse_direction_rad", "median_direction_rad", "p95_direction_rad",
             "rmse_3d_m", "coverage_95", "log_density", "energy_score_m")  # fmt: skip

@@ -42,8 +42,7 @@ LEAST_SAMPLES, LOST = 8.0, 0.1
 """Effective samples below which a recording is too short for a verdict; the share of rows that are lost or have no
 covariance beyond which covariances are not judged."""
 
-MOST_ROWS = 12
-"""Rows of the table of an evaluation that a terminal shows."""
+MOST_ROWS = 12  # rows of the table of an evaluation that a terminal shows
 
 HOLD, SHORT, SMALL, LARGE = "hold", "too short", "too small", "too large"
 
@@ -215,10 +214,8 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
     """
     sentences, losses = list[str](), overall["losses"]
     if losses:
-        suitable = "With a suitable model a track is lost only where readings are missing."
-        sentences.append(
-            f"Tracks were lost {counted(losses, 'time')}, for {overall['lost_s']:.3g} s in all. {suitable}"
-        )
+        lost = f"Tracks were lost {counted(losses, 'time')}, for {overall['lost_s']:.3g} s in all."
+        sentences.append(f"{lost} With a suitable model a track is lost only where readings are missing.")
     if losses and max(losses / overall["n_rows"], overall["lost_fraction"]) > LOST:
         return sentences
     if overall["coverage_95"] is None:

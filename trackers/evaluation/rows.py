@@ -15,6 +15,7 @@ from trackwright.trackers.core.model.rig import Station
 from trackwright.trackers.recordings.columns import TruePaths, TruthStatus, float_column, require_columns
 from trackwright.trackers.recordings.tracks_table import HEADING, NO_ESTIMATE, is_bearing, track_keys
 
+Truths = Mapping[str, pl.DataFrame]  # by recording
 Stations = Mapping[str, Mapping[str, Station]]  # by recording, its stations by id
 WHY = {TruthStatus.NO_ESTIMATE: "no estimate", TruthStatus.NO_TRUTH: "no truth", TruthStatus.HOLE: "hole"}
 """Why a row is not scored, in the column `why`."""
@@ -28,9 +29,7 @@ TANGENTS = np.tan(np.pi / 4 * (1 + NODES))
 CHUNK = 2_000  # rows whose energy scores are computed together: their numbers fit the processor's cache
 
 
-def scored_rows(
-    tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame], stations: Stations | None = None
-) -> pl.DataFrame:
+def scored_rows(tracks: pl.DataFrame, truths: Truths, stations: Stations | None = None) -> pl.DataFrame:
     """The estimates, sorted by recording, tag, station and time, with these columns; null where they are not known.
 
     `track`: its number. `why`: null in scored rows. `true_x_m` …: the truth, linearly interpolated; none outside its
@@ -69,7 +68,7 @@ def is_scored(rows: pl.DataFrame) -> np.ndarray:
 
 
 def _truth(
-    rows: pl.DataFrame, truths: Mapping[str, pl.DataFrame], track: np.ndarray, times: np.ndarray
+    rows: pl.DataFrame, truths: Truths, track: np.ndarray, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """True positions (n, 3), headings (n,) and the `TruthStatus` (n,) of the rows at their times (n,)."""
     truth, headings = np.full((len(rows), 3), np.nan), np.full(len(rows), np.nan)
@@ -277,7 +276,7 @@ def _mean_norm(volume: Float[np.ndarray, "3 n"], size: Float[np.ndarray, "3 n"])
     return np.where(scale[:, 0] > 0, scale[:, 0] * integral * np.sqrt(np.pi) / 4, 0.0)
 
 
-def refuse_without_overlap(rows: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> None:
+def refuse_without_overlap(rows: pl.DataFrame, truths: Truths) -> None:
     """Raises UnusableInput, with a recording, its tags and times of both, where no row is scored against a truth."""
     if truths and not is_scored(rows).any():
         known = rows.filter(pl.col("why") != "no estimate")

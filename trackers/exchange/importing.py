@@ -372,9 +372,7 @@ def _columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[TableFile,
     rows: dict[str, list[Any]] = {source: [] for source in sources}
     for number, (connection, stamp, data) in enumerate(reader.messages(connections=connections), 1):
         message, where = reader.deserialize(data, connection.msgtype), f"{topic}, message {number}"
-        values = {
-            source: _values(message, source, stamp, f"{where}: no field {source}; fields: {fields}") for source in rows
-        }
+        values = {n: _values(message, n, stamp, f"{where}: no field {n}; fields: {fields}") for n in rows}
         sizes = {len(one) for one in values.values() if isinstance(one, list)}
         if len(sizes) > 1:
             raise UnusableInput(f"{where}: lists of lengths {sorted(sizes)} in {listed(rows)}; expected equal ones")

@@ -191,18 +191,13 @@ def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estim
 def associate(estimate: np.ndarray, truth: np.ndarray, tolerance: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
     """The rows whose times belong together: for each of the fewer the nearest of the others within `tolerance`, s."""
     longer = len(estimate) > len(truth)
-    nearest, apart = _nearest(*((estimate, truth) if longer else (truth, estimate)))
-    kept = np.flatnonzero(apart <= tolerance)
-    return (nearest[kept], kept) if longer else (kept, nearest[kept])
-
-
-def _nearest(ordered: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The row of the nearest of sorted numbers to each wanted one, the first of equal ones; and how far it is."""
+    ordered, wanted = (estimate, truth) if longer else (truth, estimate)
     after = np.searchsorted(ordered, wanted)
     rows = np.clip(np.stack([after - 1, after]), 0, len(ordered) - 1)
-    rows = np.searchsorted(ordered, ordered[rows])
+    rows = np.searchsorted(ordered, ordered[rows])  # the first of equal times
     apart = np.abs(ordered[rows] - wanted)
-    return np.where(apart[0] <= apart[1], rows[0], rows[1]), apart.min(axis=0)
+    nearest, kept = np.where(apart[0] <= apart[1], *rows), np.flatnonzero(apart.min(axis=0) <= tolerance)
+    return (nearest[kept], kept) if longer else (kept, nearest[kept])
 
 
 def step_of(text: str) -> tuple[str, float, str]:

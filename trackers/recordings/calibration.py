@@ -147,16 +147,8 @@ class Calibration:
     def at_rest(self, rig: Rig) -> Calibration:
         """The calibration of those stations and anchors of a rig that stand where they stood."""
         places, there = rig.anchors, rig.stations
-        anchors = {
-            name: anchor
-            for name, anchor in self.anchors.items()
-            if name in places and (anchor.position is None or not has_moved(anchor.position, places[name]))
-        }
-        stations = {
-            name: station
-            for name, station in self.stations.items()
-            if name in there and (station.mounted is None or not has_turned(station.mounted, there[name]))
-        }
+        anchors = {k: x for k, x in self.anchors.items() if k in places and not has_moved(x.position, places[k])}
+        stations = {k: x for k, x in self.stations.items() if k in there and not has_turned(x.mounted, there[k])}
         by_place = {name: visits for name, visits in self.bearing_map.items() if name in stations}
         return replace(self, stations=stations, anchors=anchors, bearing_map=by_place)
 
@@ -195,13 +187,15 @@ def _variances(factors: np.ndarray, covariances: Sequence[np.ndarray], number: n
     return result
 
 
-def has_moved(before: Point, now: Point) -> bool:
-    """Whether two positions (3,), m, are different places."""
-    return float(np.linalg.norm(np.asarray(now) - before)) > MOVED_M
+def has_moved(before: Point | None, now: Point) -> bool:
+    """Whether two positions (3,), m, are different places; not of one that is not known."""
+    return before is not None and float(np.linalg.norm(np.asarray(now) - before)) > MOVED_M
 
 
-def has_turned(before: Station, now: Station) -> bool:
-    """Whether a station stands at another place, or otherwise turned."""
+def has_turned(before: Station | None, now: Station) -> bool:
+    """Whether a station stands at another place, or otherwise turned; not of one that is not known."""
+    if before is None:
+        return False
     # The trace of a rotation is 1 + 2 cos of its angle.
     cosine = 0.5 * (np.trace(before.world_from_array().T @ now.world_from_array()) - 1.0)
     return has_moved(before.position, now.position) or float(np.arccos(np.clip(cosine, -1.0, 1.0))) > MOVED_RAD

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import IntEnum
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -107,22 +107,16 @@ class TruthStatus(IntEnum):
 
 
 class TruePaths:
-    """The true paths of tags: positions at sorted times, no two of them equal, between which they are interpolated.
+    """The true paths of rows by tag: positions at sorted times, no two of a tag equal, interpolated between them.
 
     `starts` (paths + 1,): the first row of each of `tags`, then their number n. `positions` (n, 3) m: z is NaN where
-    unknown. `attitudes`: quaternions (n, 4), NaN where unknown, read with the first heading; None for none.
+    unknown.
     """
 
-    def __init__(
-        self,
-        tags: Sequence[str] = (),
-        starts: np.ndarray = np.zeros(1, int),  # noqa: B008
-        times: np.ndarray = np.zeros(0),  # noqa: B008
-        positions: np.ndarray = np.zeros((0, 3)),  # noqa: B008
-        attitudes: Callable[[], np.ndarray] | None = None,
-    ) -> None:
-        self.number = {tag: k for k, tag in enumerate(tags)}
-        self.starts, self.times, self.positions, self._attitudes = starts, times, positions, attitudes
+    def __init__(self, rows: TagRows) -> None:
+        self.number = {tag: k for k, tag in enumerate(rows.tags)}
+        self.starts, self.times, self.positions = rows.starts, rows.times, rows.floats(("x_m", "y_m", "z_m"))
+        self._rows = rows
 
     @classmethod
     def of_table(cls, truth: pl.DataFrame, recording: str) -> TruePaths:
@@ -131,20 +125,14 @@ class TruePaths:
         known = pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite())
         present = truth.with_columns(pl.col("tag").cast(pl.String)).filter(known)
         present = present.unique(["tag", "t_s"], keep="first", maintain_order=True)
-        return cls.of_rows(TagRows(present.sort("t_s", maintain_order=True)))
-
-    @classmethod
-    def of_rows(cls, rows: TagRows) -> TruePaths:
-        """The paths of rows by tag, at sorted times, no two of a tag equal."""
-        attitudes = partial(rows.floats, QUATERNION) if QUATERNION[0] in rows else None
-        return cls(rows.tags, rows.starts, rows.times, rows.floats(("x_m", "y_m", "z_m")), attitudes)
+        return cls(TagRows(present.sort("t_s", maintain_order=True)))
 
     @cached_property
     def headings(self) -> np.ndarray | None:
         """The headings (n,) of the bodies about the vertical, rad, NaN where they are not known; None for all."""
-        if self._attitudes is None:
+        if QUATERNION[0] not in self._rows:
             return None
-        w, x, y, z = self._attitudes().T
+        w, x, y, z = self._rows.floats(QUATERNION).T
         return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
     def of_tag(self, tag: str) -> tuple[np.ndarray, np.ndarray]:

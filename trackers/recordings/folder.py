@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 Kind = Literal["parquet", "csv.gz", "csv"]
 
 FOLDERS = "one or more recording folders, as `read`, `read_all` and `world.folder()` return them"
+NO_PATHS = TruePaths(TagRows(pl.DataFrame(schema={"tag": pl.String, "t_s": pl.Float64})))
 MANY = 60  # the most recordings that are tracked together: as many as a page shows
 
 _OTHER_DATA = (".txt", ".tsv", ".dat", ".json", ".xlsx", ".zip", ".feather", ".npz", ".mat", ".pq")
@@ -72,7 +73,7 @@ class Tables(Mapping[str, pl.DataFrame]):
     def paths(self, recording: str) -> TruePaths:
         """The true paths of the tags, none without a truth table; `recording`: the name for messages."""
         if self._paths is None:
-            self._paths = TruePaths.of_table(self["truth"], recording) if "truth" in self else TruePaths()
+            self._paths = TruePaths.of_table(self["truth"], recording) if "truth" in self else NO_PATHS
         return self._paths
 
 

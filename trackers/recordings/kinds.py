@@ -70,11 +70,6 @@ class Column(NamedTuple):
         return self.name.rpartition("_")[2]
 
 
-def unit_of(column: str) -> str:
-    """The unit of a column in words, by the ending of its name."""
-    return UNITS[column.rpartition("_")[2]]
-
-
 class Layout(NamedTuple):
     """The columns of a table: ids, values, optional ones, and signal quality, which have any other name."""
 

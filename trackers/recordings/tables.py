@@ -19,7 +19,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.files import file_bytes
-from trackwright.trackers.recordings.kinds import Kind, Layout, table_kinds, unit_of
+from trackwright.trackers.recordings.kinds import UNITS, Kind, Layout, table_kinds
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
@@ -170,9 +170,9 @@ def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl
         file.refuse(zero, "qw", "a unit quaternion, not zero; leave its four cells empty if the attitude is unknown")
     if placed:
         _check_sensors(file, frame, kind, rig)
-    for column in (column.name for column in kind.columns if column.positive):
+    for column, unit in ((column.name, UNITS[column.unit]) for column in kind.columns if column.positive):
         if zeros := int((frame[column] == 0).sum()):
-            words = f"{name} of 0 {unit_of(column)}: {zeros}; not used: leave the cell of a missing reading empty"
+            words = f"{name} of 0 {unit}: {zeros}; not used: leave the cell of a missing reading empty"
             notices.append(f"{name}: {words}")
             frame = frame.with_columns(pl.when(pl.col(column) != 0).then(column).alias(column))
     unwrapped, wraps = unwrapped_times(frame["t_s"].to_numpy())

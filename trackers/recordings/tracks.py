@@ -94,10 +94,7 @@ class Trajectories(Sequence[Trajectory]):
     @cached_property
     def heights(self) -> np.ndarray:
         """The known heights of the tags (n,), m; NaN where the rig gives none."""
-        if len({id(folder) for folder in self.folders}) == 1:
-            return known_heights(self.folders[0], self.tags)
-        heights = (known_heights(folder, [tag]) for folder, tag in zip(self.folders, self.tags, strict=True))
-        return np.concatenate([np.zeros(0), *heights])
+        return np.array([known_height(*of) for of in zip(self.folders, self.tags, strict=True)], float)
 
 
 def trajectories_of(

@@ -82,10 +82,9 @@ def built(
     return mc.TrackerConfig(replace(spec_of(base), about=about, build=build), tunables)
 
 
-def window(rows: int) -> mc.TrackerConfig:
+def window(rows: int, about: str) -> mc.TrackerConfig:
     """The mean of the last `rows` fixes, per axis."""
-    about = f"mean of the last {rows} fixes"
     return built("moving-average", about, lambda trajectory, planar: MovingWindow(rows, False, planar))
 
 
-RAW = built("moving-average", "the fixes as they are", lambda trajectory, planar: MovingWindow(1, False, planar))
+RAW = window(1, "the fixes as they are")

@@ -19,7 +19,7 @@ from trackwright.experiments.monte_carlo import Value
 from trackwright.experiments.monte_carlo.sources import available_studies, load_study
 from trackwright.experiments.text.expectations import headline, ratio_text, with_interval
 from trackwright.experiments.text.tables import Unit, markdown, replace_tables
-from trackwright.experiments.text.terminal import notice, progress
+from trackwright.experiments.text.terminal import notice, stages
 
 LIMIT_S = 1800.0
 MODULE = "trackwright.experiments.lab.papers.reproduce"
@@ -36,7 +36,8 @@ def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
     """
     chosen = [study for study in map(load_study, available_studies()) if study.expected is not None]
     contents, failed, seconds = [], [], 0.0
-    with progress("papers", len(chosen)) as advance:
+    with stages("papers") as begin:
+        advance = begin("papers", len(chosen))
         for study in chosen:
             folder = out / study.name
             words = ["-m", "trackwright", "study", study.name, "--out", str(folder)]

@@ -1,7 +1,5 @@
 """The runner of the laboratory: a row a case, resumed where it stopped, and a failing case beside the others."""
 
-from functools import partial
-
 import pytest
 
 from trackwright.experiments.lab.__main__ import lab
@@ -76,17 +74,6 @@ def test_unusable_lists_of_cases_are_refused(tmp_path, cases, only, message):
 def test_an_unknown_table_is_refused_with_the_nearest_name():
     with pytest.raises(UnusableInput, match="table studis: unknown.*studies"):
         lab("studis")
-
-
-def test_a_world_is_measured_end_to_end(tmp_path):
-    from trackwright.experiments.lab.validation import nis
-
-    cases = [Case("own model", "fix-kf", "defaults", partial(nis.figures, "fix-kf", 0))]
-    assert measure(cases, tmp_path / "nis.csv") == 0
-    (row,) = read(tmp_path / "nis.csv")
-    # Normal noise of the filter's own model: 24 tags of 500 fixes with two degrees of freedom each.
-    assert 0.95 < float(row["nis_per_dof"]) < 1.05
-    assert 0.85 < float(row["means_in_band"]) <= 1.0
 
 
 def test_kept_tables_have_no_errors():

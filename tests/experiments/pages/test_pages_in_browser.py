@@ -7,8 +7,9 @@ import pytest
 from tests.browser import chromium, watched
 from tests.experiments.pages.small_tracks import NASTY, TAGS, small_bearings, small_run, small_tracks
 from trackwright.experiments.pages.comparison import comparison_charts, write_comparison
+from trackwright.experiments.pages.report import write_page
 from trackwright.experiments.pages.scored_tracks import ScoredTracks
-from trackwright.experiments.pages.track import run_data, write_track_page
+from trackwright.experiments.pages.track import run_data, track_page
 from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.recordings.columns import float_column
 
@@ -35,7 +36,7 @@ def _written(folder, *tracks):
     tracks = [ScoredTracks(of.rows.with_columns(losses=lost), of.folders, []) for of in tracks]
     found = zip(names, tracks, strict=True)
     runs = [run_data(of, Evaluation.of(of.rows), f"{k}: a tracker", k, len(names)) for k, of in found]
-    write_track_page(folder / "report.html", runs, "trackwright track hall")
+    write_page(folder / "report.html", track_page(runs, "trackwright track hall"))
     return folder / "report.html"
 
 

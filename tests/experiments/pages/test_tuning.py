@@ -74,7 +74,7 @@ def _compared(*change, worse=()):
 def test_the_parameters_steps_and_page_of_a_fit_are_those_of_the_fit(tmp_path):
     folders = [tw.read(random_walk(tmp_path / name, k, 0.25, 64)) for k, name in enumerate("abc")]
     named = tw.build("fix-kf", folders)
-    data = fit_data(named.only_batch(folders), "nll", folders[2:], 1000, 3)
+    data = fit_data(named.only_batch(folders), "nll", folders[2:], 3)
     options = tw.FitOptions(steps=6, starts=2, prior="flat")
     result = tw.fit(named, folders[:2], objective="nll", tune=PATTERNS, options=options)
     intervals, issues = result.intervals, [Issue((PATTERNS[0],), "an issue")]

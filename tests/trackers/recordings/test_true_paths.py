@@ -1,10 +1,11 @@
 """Truth of many tags at once, against NumPy's interpolation of each path by itself; times of counters that wrap."""
 
 import numpy as np
+import polars as pl
 import pytest
 
 from trackwright.trackers.core.data import HOLE_M, HOLE_S
-from trackwright.trackers.recordings.columns import TruePaths, TruthStatus
+from trackwright.trackers.recordings.columns import QUATERNION, TagRows, TruePaths, TruthStatus
 from trackwright.trackers.recordings.tables import unwrapped_times
 
 
@@ -20,6 +21,11 @@ def _alone(at, times, positions):
     status[(at < times[0]) | (at > times[-1])] = TruthStatus.NO_TRUTH
     found[status != TruthStatus.SCORED] = np.nan
     return found, status
+
+
+def _rows(tags, times, positions, **attitudes):
+    axes = dict(zip(("x_m", "y_m", "z_m"), positions.T, strict=True))
+    return TagRows(pl.DataFrame({"tag": tags, "t_s": times} | axes | attitudes))
 
 
 def _path(rng):
@@ -38,7 +44,7 @@ def test_truth_of_many_tags_is_that_of_each_to_the_bit(same):
             paths = [(paths[0][0], rng.normal(size=paths[0][1].shape)) for _ in paths]
         wanted = [np.sort(np.append(rng.uniform(-1, 21, rng.integers(0, 40)), rng.choice(t, 3))) for t, _ in paths]
         tags, starts = [str(k) for k in range(4)], np.cumsum([0, *(len(t) for t, _ in paths)])
-        together = TruePaths(tags, starts, *(np.concatenate(x) for x in zip(*paths, strict=True)))
+        together = TruePaths(_rows(np.repeat(tags, np.diff(starts)), *map(np.concatenate, zip(*paths, strict=True))))
         found = together.at(tags, np.cumsum([0, *map(len, wanted)]), np.concatenate(wanted))
         alone = [_alone(at, *path) for at, path in zip(wanted, paths, strict=True)]
         for array, each in zip(found, zip(*alone, strict=True), strict=True):
@@ -49,7 +55,7 @@ def test_headings_are_unknown_where_the_attitudes_have_a_hole():
     times, yaw = np.arange(0.0, 10.0, 0.25), np.linspace(0.0, 9.0, 40)
     attitudes = np.stack([np.cos(yaw / 2), *np.zeros((2, 40)), np.sin(yaw / 2)], axis=1)
     attitudes[(times > 3.0) & (times < 6.0) | (times == 8.0)] = np.nan
-    paths = TruePaths(["a"], np.array([0, 40]), times, np.zeros((40, 3)), lambda: attitudes)
+    paths = TruePaths(_rows(["a"] * 40, times, np.zeros((40, 3)), **dict(zip(QUATERNION, attitudes.T, strict=True))))
     at = np.array([-1.0, 0.1, 3.0, 3.1, 5.9, 6.0, 8.1, 9.75, 9.8])
     found = paths.headings_at(["a"], np.array([0, len(at)]), at)
     known = np.isin(at, [0.1, 3.0, 6.0, 8.1, 9.75])

@@ -3,26 +3,30 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation as Turn
 
 from tests.known_start import NEVER_LOST
 from tests.oracles import normal_log_density
-from trackwright.experiments.lab.validation.nis import own_world
 from trackwright.sim import worlds
 from trackwright.trackers.catalogue import TRACKERS, build, fitting
 from trackwright.trackers.core.data.consistency import nees
-from trackwright.trackers.core.data.recording import Readings, Recording
+from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.algebra import Vector, triangle
 from trackwright.trackers.core.model.rig import Tag
+from trackwright.trackers.core.model.sensor import Row
+from trackwright.trackers.core.model.state import retract
 from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.parts.drifting_biases import BiasDrift
 from trackwright.trackers.uwb_imu.difference_rows import SHARED, correlations
 from trackwright.trackers.uwb_imu.fusion import TDOA
 from trackwright.trackers.uwb_imu.inertial import inertial_difference_tracker
 from trackwright.trackers.uwb_imu.strapdown import ImuNoise
-from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter
+from trackwright.trackers.uwb_imu.yaw_mixture import YawMixtureFilter, with_yaw_added
 
 ANCHORS = np.array([[0, 0, 0.2], [8, 0, 2.7], [8, 6, 0.3], [0, 6, 2.6]], float)
 PAIRS = np.array([(1, 0), (2, 0), (3, 0)])
@@ -167,6 +171,53 @@ def test_another_tag_of_the_body_may_have_the_imu(folder):
     np.testing.assert_array_equal(second.inputs["arm"][0], [0.1, 0.0, 0.0])
 
 
+def _for_all(function):
+    return jax.jit(jax.vmap(function, in_axes=-1, out_axes=-1))
+
+
+def _drawn_states(prior, count, rng):
+    """States drawn from beliefs, each turned to one of the filter's `count` yaws; trajectories last."""
+    upper = np.stack([np.asarray(x) for x in prior.cov], axis=-1).astype(float)
+    size = round((np.sqrt(8 * upper.shape[1] + 1) - 1) / 2)
+    cov = np.zeros((len(upper), size, size))
+    for k, (i, j) in enumerate(triangle(size)):
+        cov[:, i, j] = cov[:, j, i] = upper[:, k]
+    # By eigenvalues: a component that is known has the variance zero.
+    values, vectors = np.linalg.eigh(cov)
+    unit = np.sqrt(np.maximum(values, 0.0)) * rng.normal(size=values.shape)
+    steps = jnp.asarray(np.einsum("nij,nj->in", vectors, unit))
+    states = _for_all(lambda mean, step: retract(mean, list(step)))(prior.mean, steps)
+    return _for_all(with_yaw_added)(states, jnp.asarray(2 * np.pi / count * rng.integers(count, size=len(cov))))
+
+
+def _own_world(tracker, recordings, seed, narrower):
+    """The recordings with differences drawn from the tracker's model, the beliefs from which states are drawn, and these.
+
+    Beliefs are those of the tracker's start with standard deviations `narrower` times as small.
+    """
+    rng, batch, motion, sensor = np.random.default_rng(seed), stack(recordings), tracker.motion, tracker.sensors[TDOA]
+    readings, inputs = jax.tree_util.tree_map(lambda x: x[0], (batch.readings, dict(batch.inputs)))
+    row = Row(batch.dt[0], batch.valid[0], readings, inputs, batch.key, jnp.zeros(batch.size, jnp.uint32))
+    prior = _for_all(lambda row: tracker.start.belief(tracker.start.candidate(tracker.sensors, row), row))(row)
+    prior = prior._replace(cov=tuple(x / narrower**2 for x in prior.cov))
+    state, states, values = _drawn_states(prior, tracker.filter.count, rng), [], []
+    step = _for_all(lambda state, inputs, dt, w: motion.step(state, inputs, dt, Vector.of(w)))
+    measured = _for_all(lambda state, inputs: jnp.stack(sensor.measure(motion.view(state), inputs)))
+    for k, dt in enumerate(batch.dt):
+        inputs = {name: x[k] for name, x in batch.inputs.items()}
+        if k:
+            state = step(state, inputs, dt, jnp.asarray(rng.normal(size=(motion.noise_dimension, batch.size))))
+        expected = np.asarray(measured(state, inputs))
+        states.append(state)
+        values.append(expected + float(sensor.sigma_d.value) * rng.standard_t(float(sensor.dof.value), expected.shape))
+    priors = [jax.tree_util.tree_map(lambda x, k=k: x[..., k], prior) for k in range(batch.size)]
+    redrawn = [
+        replace(r, readings={TDOA: Readings(np.stack(values)[: len(r), :, k], r.readings[TDOA].seen, None)}, truth={})
+        for k, r in enumerate(recordings)
+    ]
+    return redrawn, priors, jax.tree_util.tree_map(lambda *rows: np.stack(rows), *states)
+
+
 @pytest.mark.slow
 def test_covariances_are_those_of_the_errors_in_worlds_of_its_own_model():
     world = worlds.tdoa(n=60, seed=2, rows=30, imu=True).folder()
@@ -174,7 +225,7 @@ def test_covariances_are_those_of_the_errors_in_worlds_of_its_own_model():
     # With normal noise, and biases of the anchors that do not follow the speed, the filter is exact but for curvature.
     exact = {"sensors.tdoa.dof": 1e6, "motion.drift.length": 1e6}
     tracker = replace(with_values(batch.tracker, exact, "test"), track_loss=NEVER_LOST)
-    recordings, priors, states = own_world(tracker, [t.recording for t in batch.trajectories], 5, narrower=10.0)
+    recordings, priors, states = _own_world(tracker, [t.recording for t in batch.trajectories], 5, narrower=10.0)
     estimates = tracker.run(recordings, initial=priors)
     errors = np.stack([np.asarray(a) - b.T for a, b in zip(estimates.mean.position, states.position, strict=True)], -1)
     late = slice(200, None)

@@ -100,7 +100,7 @@ STUDY = mc.Study(
     trackers={
         "proposed": mc.TrackerConfig("uwb-imu", PROPOSED, every=1 / RATE_HZ),
         "raw": RAW,
-        "moving average": window(WINDOW),
+        "moving average": window(WINDOW, f"mean of the last {WINDOW} fixes"),
         "Kalman": mc.TrackerConfig("fix-kf", KALMAN),
     },
     runs=200,

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
-from trackwright.experiments.lab.papers.declared import RAW as FIXES_ALONE
 from trackwright.experiments.lab.papers.declared import built
 from trackwright.sim.corruptions import gauss_markov, white_noise
 from trackwright.sim.line import LineDraw
@@ -132,7 +131,6 @@ def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, dof=None, planar=planar)
 
 
-RAW = built("moving-average", "the measurements themselves", FIXES_ALONE.spec.build)
 KALMAN = built("fix-kf", "the thesis's Kalman filter, (1.3)-(1.21)", _kalman)
 PARTICLE = _on_path("line-pf", "the thesis's particle filter, (2.1)-(2.5)", line_tracker, _open)
 STOPPING = _on_path("line-pf", "the same on a path that ends at its last knot", line_tracker, _ended)

@@ -31,15 +31,15 @@ SHOWN_SLACK, FALSE_ALARMS = 0.5, 0.05
 LIMITS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 
 
-def cusum(times: np.ndarray, distance: np.ndarray, slack: np.ndarray | float, cap: float = np.inf) -> np.ndarray:
-    """The cumulative sum (Page 1954) of distance beyond `slack` m times seconds, (T,) m·s, clipped to 0 … `cap`.
+def cusum(times: np.ndarray, distance: np.ndarray, slack: np.ndarray | float) -> np.ndarray:
+    """The cumulative sum (Page 1954) of distance beyond `slack` m times seconds, (T,) m·s, never negative.
 
     `distance` (T,) m between a free and a constrained estimate at `times` (T,) s; NaN adds nothing.
     """
     excess = np.nan_to_num(np.asarray(distance, float) - slack) * np.diff(times, prepend=times[0])
     sums, total = np.zeros(len(excess)), 0.0
     for row, added in enumerate(excess):
-        total = sums[row] = min(max(total + added, 0.0), cap)
+        total = sums[row] = max(total + added, 0.0)
     return sums
 
 
@@ -104,13 +104,6 @@ def _sums_of(results: mc.Results, world: str, tracker: str, slack: float) -> tup
     """The largest sums (n,), m·s, of tags that stay and, while they are away, of tags that leave."""
     stay = results.numbers(f"at any time, slack {slack}", STAYS, tracker)
     return stay, results.numbers(f"while away, slack {slack}", world, tracker)
-
-
-def curve(results: mc.Results, world: str, tracker: str, slack: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rates of false alarms and of detections (k,) over all limits, from the highest."""
-    stay, leave = _sums_of(results, world, tracker, slack)
-    limits = np.r_[np.inf, np.sort(np.concatenate([stay, leave]))[::-1]]
-    return (stay >= limits[:, None]).mean(axis=1), (leave >= limits[:, None]).mean(axis=1)
 
 
 def area(results: mc.Results, world: str, tracker: str, slack: float) -> mc.Value:

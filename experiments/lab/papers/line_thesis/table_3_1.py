@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 import trackwright.experiments.monte_carlo as mc
+from trackwright.experiments.lab.papers.declared import RAW
 from trackwright.experiments.lab.papers.fitting import Fitted, fitted, unsaved
 from trackwright.experiments.lab.papers.line_thesis import _assembly_line as line
 
@@ -86,7 +87,7 @@ STUDY = mc.Study(
     name="table-3-1",
     about="How accurate are a Kalman filter and particles that know the path, on nine recordings of an assembly line?",
     worlds=line.worlds(fitted("papers/line_thesis/table_3_1")),
-    trackers={"particle": line.PARTICLE, "Kalman": line.KALMAN, "raw": line.RAW},
+    trackers={"particle": line.PARTICLE, "Kalman": line.KALMAN, "raw": RAW},
     runs=40,
     grid={line.SIGMA: line.SWEPT},
     measures={"error_m": line.error, "rms_m": line.root_mean_square},
