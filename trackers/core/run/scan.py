@@ -24,6 +24,7 @@ from trackwright.trackers.core.jax_private import live_part
 from trackwright.trackers.core.model import covariance
 from trackwright.trackers.core.model.algebra import Scalar, mark_dependent, select, total
 from trackwright.trackers.core.model.covariance import (
+    ONE_KERNEL,
     AnyCovariance,
     Gaussian,
     OneArray,
@@ -97,15 +98,11 @@ def first_carry(tracker: RecursiveTracker, row: Row, few: bool) -> Carry:
     return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
 
 
-ONE_KERNEL = 128
-"""Most trajectories whose loop over rows is one kernel; of more it takes up to twice as long as dozens of kernels."""
-
-
 def in_one_kernel(tracker: RecursiveTracker, trajectories: int) -> bool:
-    """Whether the loop over rows becomes one kernel, without hundreds of calls in each step, but for the few's.
+    """Whether the loop over rows becomes one kernel, which is called once and not hundreds of times in each step.
 
-    XLA makes it one unless it has a scatter, as a search for starts. A loop that is one kernel must store one array:
-    several are copied whole in every step.
+    XLA makes it one unless it has a scatter, as a search for starts. It must store one array: of several it copies each
+    in every step.
     """
     return trajectories <= ONE_KERNEL and not tracker.start.searches and not tracker.filter.has_particle_axis
 
