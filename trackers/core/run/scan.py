@@ -99,10 +99,10 @@ def first_carry(tracker: RecursiveTracker, row: Row, few: bool) -> Carry:
 
 
 def in_one_kernel(tracker: RecursiveTracker, trajectories: int) -> bool:
-    """Whether the loop over rows becomes one kernel, which is called once and not hundreds of times in each step.
+    """Whether the loop over rows becomes one kernel, without hundreds of calls in each step.
 
-    XLA makes it one unless it has a scatter, as a search for starts. It must store one array: of several it copies each
-    in every step.
+    It must hold no search for starts, which takes many times as long there, and store one array: several are copied
+    whole in every step.
     """
     return trajectories <= ONE_KERNEL and not tracker.start.searches and not tracker.filter.has_particle_axis
 
