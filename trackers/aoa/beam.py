@@ -6,7 +6,7 @@ Its baseline is delay-and-sum on each row separately (section 4.1).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -100,6 +100,8 @@ class BeamStart(AbstractStart):
     `sigma_angle` rad, 30° in the paper, and `sigma_rate` rad/s: standard deviations. A grid of one angle gives an
     `InPlaneBeam`.
     """
+
+    searches: ClassVar[bool] = True
 
     station: str = eqx.field(static=True)
     grid: Grid

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -32,6 +32,8 @@ class PhaseStart(AbstractStart):
     A start takes `stations` stations with three phases or more. `sigma_position` m, `sigma_velocity` m/s: standard
     deviations.
     """
+
+    searches: ClassVar[bool] = True
 
     centre: Any
     sigma_position: Noise

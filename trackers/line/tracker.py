@@ -86,6 +86,7 @@ class LineStart(AbstractStart):
     points: int = eqx.field(static=True, default=POINTS)
 
     smooth: ClassVar[bool] = True
+    searches: ClassVar[bool] = True
 
     def can_start(self, row: Row) -> Scalar:
         seen = [jnp.any(reading.seen) for reading in row.readings.values()]

@@ -32,10 +32,12 @@ class AbstractStart(eqx.Module):
 
     `smooth`: the candidate is differentiable with respect to the sensors' parameters (a weighted mean is, an argmax
     is not). `known`: the belief is known before the first row, whose measurements update it; else they are its source.
+    `searches`: the candidate takes longer than a step of a filter, and is sought for trajectories in need alone.
     """
 
     smooth: ClassVar[bool] = False
     known: ClassVar[bool] = False
+    searches: ClassVar[bool] = False
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -53,7 +55,7 @@ class AbstractStart(eqx.Module):
 
     @abstractmethod
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        """The expensive search, run only for trajectories that need it; differentiated only if `smooth`."""
+        """Where a track that starts in this row is; differentiated only if `smooth`."""
 
     @abstractmethod
     def belief(self, candidate: Any, row: Row) -> Gaussian:

@@ -24,6 +24,7 @@ from trackwright.trackers.core.jax_private import live_part
 from trackwright.trackers.core.model import covariance
 from trackwright.trackers.core.model.algebra import Scalar, mark_dependent, select, total
 from trackwright.trackers.core.model.covariance import (
+    ONE_KERNEL,
     AnyCovariance,
     Gaussian,
     OneArray,
@@ -97,6 +98,15 @@ def first_carry(tracker: RecursiveTracker, row: Row, few: bool) -> Carry:
     return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
 
 
+def in_one_kernel(tracker: RecursiveTracker, trajectories: int) -> bool:
+    """Whether the loop over rows becomes one kernel, without hundreds of calls in each step.
+
+    It must hold no search for starts, which takes many times as long there, and store one array: several are copied
+    whole in every step.
+    """
+    return trajectories <= ONE_KERNEL and not tracker.start.searches and not tracker.filter.has_particle_axis
+
+
 STARTS_AT_ONCE = 16
 """Trajectories whose start is searched for together; one search costs as much as hundreds of filter steps."""
 
@@ -153,6 +163,7 @@ def scan_rows(
     n_rows = first_number if initial is None else jnp.asarray(initial.n_rows)
     axes = carry_axes(tracker)
     few = covariance.few(size) and not tracker.filter.has_particle_axis
+    packed = few or in_one_kernel(tracker, size)
     every_moments = jax.vmap(
         moments or (lambda belief: moments_by_entry(tracker, belief)), in_axes=axes.belief, out_axes=-1
     )
@@ -169,7 +180,7 @@ def scan_rows(
         row, truth = inputs
         if score is None:
             carry, output = one_row(carry, row)
-            return (carry, sums), outputs_of.packed(output) if few else output
+            return (carry, sums), outputs_of.packed(output) if packed else output
 
         def scored(carry: Carry) -> tuple[Carry, tuple[Any, ...]]:
             after, output = one_row(carry, row)
@@ -208,7 +219,7 @@ def scan_rows(
         return tuple(x[:, 0] for x in scores_of.unpacked(outputs)), None, None
     if score is not None:
         return sums, None, None
-    if outputs is not None and few:
+    if outputs is not None and packed:
         outputs = outputs_of.unpacked(outputs)
         outputs = outputs._replace(cov=by_entry(outputs.cov))
     n_rows = n_rows + jnp.sum(jnp.asarray(batch.valid), axis=0, dtype=jnp.uint32)
@@ -308,12 +319,14 @@ def with_start(carry: Carry, need: Scalar, info: StepInfo) -> StepInfo:
 
 
 def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"], few: bool) -> Any:
-    """`start.candidate` of the trajectories where `need` (B,) is true, some at a time; zeros elsewhere."""
+    """`start.candidate` of the trajectories where `need` (B,) is true; anything elsewhere."""
     numbers, rest = eqx.partition((tracker.start, tracker.sensors), eqx.is_array)
     start, sensors = eqx.combine(numbers if tracker.start.smooth else jax.lax.stop_gradient(numbers), rest)
     row = jax.lax.stop_gradient(row)
     candidate = jax.vmap(lambda r: start.candidate(sensors, r), in_axes=-1, out_axes=-1)
     size = need.shape[0]
+    if in_one_kernel(tracker, size):
+        return candidate(row)
     shapes = jax.eval_shape(candidate, row)
     nothing = jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
@@ -330,6 +343,6 @@ def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"], few: bo
         )
         return need.at[index].set(False, mode="drop"), candidates
 
-    # XLA compiles a small loop without a scatter to one kernel, which pays for few trajectories alone.
+    # A search within one kernel pays for few trajectories alone.
     body = all_at_once if few else some
     return jax.lax.while_loop(lambda state: jnp.any(state[0]), body, (need, nothing))[1]

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -31,28 +32,41 @@ def test_an_import_and_a_run_change_no_setting_of_other_programs():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize(("trajectories", "one"), [(16, True), (512, False)])
+def test_up_to_128_trajectories_are_one_kernel(trajectories, one):
+    """Sixteen took longer than seventeen while fixes, which are no search, were sought for starts in a loop."""
+    batch = tw.stack([_recording(5)] * trajectories)._replace(truth={})
+    run = partial(tw.filter_batch, tw.baselines.fix_tracker(planar=True))
+    program = jax.jit(run, compiler_options=tw.compiler_options(trajectories))
+    text = program.lower(jax.tree_util.tree_map(jnp.asarray, batch)).compile().as_text()
+    assert (" while(" not in text[text.index("ENTRY") :]) == one
+
+
 def _recording(rows):
     walk = np.cumsum(np.random.default_rng(3).normal(0, 0.1, (rows, 2)), axis=0)
     return tw.baselines.fix_recording(np.arange(rows) * 0.5, walk, height=1.0)
 
 
 def _call(what, rows):
-    """A call of a program of one recording with these rows."""
+    """A call of a program with these rows, of one recording, or of sixteen."""
     tracker, recording = tw.baselines.fix_tracker(planar=True), _recording(rows)
     if what == "run":
         return lambda: tracker.run(recording)
-    batch = jax.tree_util.tree_map(jnp.asarray, tw.stack([recording])._replace(truth={}))
+    number = 16 if what.endswith("of sixteen") else 1
+    batch = jax.tree_util.tree_map(jnp.asarray, tw.stack([recording] * number)._replace(truth={}))
 
     def figure(sigma_a):
         output = tw.filter_batch(tracker.with_values({"motion.sigma_a": sigma_a}), batch)
         return jnp.sum(output.log_likelihood) + jnp.sum(output.mean.position[0] ** 2)
 
     slope = jax.grad(figure) if what == "gradient" else lambda x: jax.jvp(figure, (x,), (1.0,))[1]
-    program = jax.jit(slope, compiler_options=tw.compiler_options(1))
+    program = jax.jit(slope, compiler_options=tw.compiler_options(number))
     return lambda: jax.block_until_ready(program(0.3))
 
 
-@pytest.mark.parametrize("what", ["run", pytest.param("gradient", marks=pytest.mark.slow), "forward derivative"])
+@pytest.mark.parametrize(
+    "what", ["run", pytest.param("gradient", marks=pytest.mark.slow), "forward derivative of sixteen"]
+)
 def test_a_row_of_a_long_recording_takes_as_long_as_one_of_a_short_recording(what):
     calls, took = {rows: _call(what, rows) for rows in (400, 1600)}, {400: np.inf, 1600: np.inf}
     for call in calls.values():
