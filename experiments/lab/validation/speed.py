@@ -1,4 +1,4 @@
-"""Speed: compiled programs by row, a study on workers, whole commands; one timer for all."""
+"""Speed: compiled programs by row, studies beside their trackers, whole commands; one timer for all."""
 
 import json
 import os
@@ -20,10 +20,13 @@ import trackwright as tw
 from trackwright.experiments.jobs.executors import cluster_executor
 from trackwright.experiments.lab.runner import REPOSITORY, Case, Figures, machine
 from trackwright.experiments.lab.validation.sites import paths
-from trackwright.experiments.monte_carlo import load_study, run_study
+from trackwright.experiments.monte_carlo import Study, load_study, run_study
+from trackwright.experiments.monte_carlo.chunk import run_chunk
+from trackwright.experiments.monte_carlo.declaration import TrackerConfig, World
 from trackwright.experiments.pages.study import to_json
 from trackwright.sim import worlds
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.recordings.tracks import batches
 from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.parameters import flatten, select_parameters
 from trackwright.tuning.problem import Problem
@@ -133,6 +136,21 @@ def program_figures(name: str, what: str, size: int) -> Figures:
     return per_row(lambda: run.run(stacked, chunk=max(512, size)), rows)
 
 
+TRAJECTORIES = 256
+FEWER = {"das": 8, "line-pf": 16, "line-grid": 8, "fix-mirror": 32, "mhk": 64, "uwb-imu": 64}
+"""Trajectories of a chunk, and of one of the slowest trackers."""
+
+READ_BY: dict[str, tuple[str, ...]] = {
+    "station": ("direct", "cascade", "beam", "das"),
+    "line": ("fix-kf", "imm", "line-grid", "line-pf", "mhk"),
+    "ranges": ("uwb", "multilateration"),
+    "tdoa": ("tdoa",),
+    "fusion": ("fusion",),
+    "tool": ("uwb-imu",),
+    "agv": ("fix-kf", "fix-singer", "fix-mirror"),
+}
+"""The trackers that read each world's tables."""
+
 PLACES = ("threads", "local:1", "local:2")
 RUNS = 20_000
 STUDY = f'runs = {RUNS}\nname = "speed"\nabout = "What do workers cost?"\n[worlds.line]\n[trackers.fix-kf]\n'
@@ -140,8 +158,32 @@ STUDY = f'runs = {RUNS}\nname = "speed"\nabout = "What do workers cost?"\n[world
 
 
 def study_cases() -> Iterator[Case]:
-    """A study on threads and on worker processes, in wall and processor seconds."""
+    """A study's chunk and its parts beside the tracker alone, and a study on worker processes, in processor seconds."""
+    for world, trackers in READ_BY.items():
+        yield from (Case(world, tracker, "a chunk", partial(split, world, tracker)) for tracker in trackers)
     yield from (Case("line", "fix-kf", f"on {place}", partial(on_workers, place)) for place in PLACES)
+
+
+def split(world: str, tracker: str) -> Figures:
+    """Processor time per row of a chunk, of the tracker alone on its recordings, and their ratio; medians, warm."""
+    count = FEWER.get(tracker, TRAJECTORIES)
+    runs = count * (2 if count <= 128 else 512)
+    study = Study("speed", "", {world: World(worlds.WORLDS[world])}, {tracker: TrackerConfig(tracker)}, runs=runs)
+    (condition,), ids = study.conditions, np.arange(count)
+    assert study.chunk == count
+    groups = study.trackers[tracker].spec.batches([study.worlds[world].make(ids, 0)], tracker)
+    stacked = [(g.tracker.for_positions(), batch) for g in groups for _, batch in batches(g.trajectories, truth=False)]
+
+    def one_round() -> tuple[float, float]:
+        run, _ = clocked(lambda: [model.run(batch, count) for model, batch in stacked])
+        whole, _ = clocked(lambda: run_chunk(study, condition, ids, False))
+        return run.cpu, whole.cpu
+
+    rows = sum(np.asarray(batch.valid).sum() for _, batch in stacked)
+    run, whole = 1e6 / rows * np.median([one_round() for _ in range(ROUNDS + 1)][1:], axis=0)
+    times = {"run_us_per_row": run, "whole_us_per_row": whole, "ratio": whole / run}
+    program = any(program is not None for program in study.programs.values())
+    return {"trajectories": count, "rows": int(rows), "one_program": program, **times, **machine()}
 
 
 def on_workers(place: str) -> Figures:
