@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,13 +34,10 @@ from trackwright.trackers.recordings.named_tracker import NamedTracker
 
 SIGNS = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/", "and": "&", "or": "|"}
 SIGNS |= {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
-ONE = (
-    "sqrt", "log", "log1p", "exp", "expm1", "sin", "cos", "tan", "tanh", "ceil", "floor", "acos", "asin", "lgamma",
-    "erf",
-)  # fmt: skip
 TEMPLATES = {
     **{name: f"{{0}} {sign} {{1}}" for name, sign in SIGNS.items()},
-    **{name: name + "{f}({0})" for name in ONE},
+    **{name: name + "{f}({0})" for name in ("sqrt", "log", "log1p", "exp", "expm1", "sin", "cos", "tan", "tanh")},
+    **{name: name + "{f}({0})" for name in ("ceil", "floor", "acos", "asin", "lgamma", "erf")},
     **{name: name + "{f}({0}, {1})" for name in ("atan2", "pow")},
     "abs": "fabs{f}({0})",
     "round": "rint{f}({0})",
@@ -63,8 +61,6 @@ NESTED = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "r
 MOVED = ("broadcast_in_dim", "reshape", "squeeze", "slice", "concatenate", "stack", "unstack", "transpose", "split")
 REDUCED = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or"}
 
-OUTPUTS = ("log_likelihood", "nis", "nis_dof", "wrapped", "status")
-
 
 class Source(NamedTuple):
     """C99 text of a tracker: `header`, `body`; `columns`: of a row in a CSV file that the program's `main` replays."""
@@ -75,10 +71,7 @@ class Source(NamedTuple):
 
 
 def one_row(tracker: Any, carry: scan.Carry, row: Row, starts: bool) -> tuple[scan.Carry, tuple[Any, ...]]:
-    """The carry of one trajectory after a row, and mean, covariance and diagnostics, as `scan.scan_rows` has them.
-
-    `starts`: whether a row may start a track.
-    """
+    """A trajectory's carry after a row, which may start a track if `starts`, and the output of `scan.scan_rows`."""
     belief, innovation = tracker.update(tracker.predict(carry.belief, row), row)
     carry, info = tracker.advance(carry, row, belief, innovation)
     if starts:
@@ -107,14 +100,11 @@ def c_source(
         try:
             step = _traced(lambda s, r: one_row(model, s, r, True), double, s=carry, r=row)
         except NotImplementedError:
-
-            def begun(mean: Any, cov: Any) -> scan.Carry:
-                return scan.in_form(scan.carry_of(model, Gaussian(mean, cov), row.key, row.number), False)
-
             try:
                 step = _traced(lambda s, r: one_row(model, s, r, False), double, s=carry, r=row)
                 mean, cov = model.moments(carry.belief)
-                begin = _traced(begun, double, m=mean, c=tuple(as_scalars(cov)))
+                given = {"m": mean, "c": tuple(as_scalars(cov))}
+                begin = _traced(lambda *x: scan.carry_of(model, Gaussian(*x), row.key, row.number), double, **given)
             except NotImplementedError as error:
                 words = "as of a search, a loop or random numbers; expected arithmetic"
                 raise UnusableInput(f"the tracker has the operation {error}, {words}") from None
@@ -176,12 +166,8 @@ def _rows(recording: Recording) -> Row:
 
 def _first(rows: Row, dtype: Any) -> Row:
     """The first row."""
-
-    def one(x: Any) -> Any:
-        x = jnp.asarray(np.asarray(x)[0][..., 0])
-        return x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x
-
-    return jax.tree_util.tree_map(one, rows)._replace(key=jnp.zeros(2, jnp.uint32), number=jnp.uint32(0))
+    row: Row = as_dtype(jax.tree_util.tree_map(lambda x: np.asarray(x)[0][..., 0], rows), dtype)
+    return row._replace(key=jnp.zeros(2, jnp.uint32), number=jnp.uint32(0))
 
 
 def _column(path: Any, index: int) -> str:
@@ -249,10 +235,7 @@ class _Program:
 
     def summed(self, name: str, parts: np.ndarray, dtype: Any) -> np.ndarray:
         """The parts (n, …) joined one after another by an operation."""
-        whole = parts[0]
-        for part in parts[1:]:
-            whole = self.each(name, [_objects(whole), _objects(part)], {}, dtype)
-        return whole
+        return reduce(lambda whole, part: self.each(name, [_objects(whole), _objects(part)], {}, dtype), parts)
 
     def each(self, name: str, inputs: list[np.ndarray], parameters: Mapping[str, Any], dtype: Any) -> np.ndarray:
         """An operation on each element; raises NotImplementedError for any other one."""
@@ -339,7 +322,7 @@ def _written(
         return [target.format(k, program.text(x)) for k, x in enumerate(flat)]
 
     components = component_names(step.shapes[1][0])
-    names = [*components, *(f"cov_{k}" for k in range(len(step.shapes[1][1]))), *OUTPUTS]
+    names = [*components, *(f"cov_{k}" for k in range(len(step.shapes[1][1]))), *scan.StepInfo._fields]
     outputs = [re.sub(r"\W", "_", output) for output in names]
     outs = [line.format(*outputs) for line in stored(step.results[len(state) :], "    out->{{{}}} = {};")]
     levels = [f" * {key} = {np.asarray(x.value).tolist()} {x.unit}" for key, x in tunables(tracker).items()]
