@@ -18,10 +18,10 @@ from trackwright.sim.line import LineDraw
 from trackwright.trackers.baselines.fixes import fix_tracker
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
-from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.line.motion import HaltingMotion, LineMotion
+from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.line.motion import LineMotion
 from trackwright.trackers.line.rows import path_of
-from trackwright.trackers.line.tracker import FloorFixes, line_grid_tracker, line_motion, line_tracker
+from trackwright.trackers.line.tracker import FloorFixes, line_tracker
 from trackwright.trackers.line.truth import knot_times
 from trackwright.trackers.parts.fixes import FIXES
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -60,25 +60,25 @@ def recording(ids: np.ndarray, seed: int, number: int, **numbers: Any) -> Record
     """Draws of recording `number` of Table 3.1, one per id, with the truth fitted to its fixes by least squares.
 
     `numbers`: `situation`, `speed` m/s, `rate_hz`; `white`, `slow`: standard deviations, m, of independent errors and
-    of errors with time constant `tau`, s; `fitted_truth`: False keeps the simulated truth.
+    of errors with time constant `tau`, s.
     """
     return _recording(tuple(np.asarray(ids).tolist()), seed, number, **numbers)
 
 
 @lru_cache(maxsize=8)
-def _recording(ids: tuple[int, ...], seed: int, number: int, fitted_truth: bool = True, **of: Any) -> RecordingFolder:
+def _recording(ids: tuple[int, ...], seed: int, number: int, **of: Any) -> RecordingFolder:
     """Cached: a sweep uses the same recordings at every value, and the least squares are slow."""
     errors = {"white": white_noise(of["white"]), "slow": gauss_markov(of["slow"], of["tau"])}
     # Nine recordings are nine draws, each with its own seed.
     seed_of = 10 * seed + number
     draw = LineDraw(of["situation"], errors, speed=of["speed"], rate_hz=of["rate_hz"])
     world = draw.drawn(ids, seed_of)
-    if fitted_truth:
-        places = [knot_times(np.array(draw.knots), world.times, fixes).positions(world.times) for fixes in world.fixes]
-        world = dataclasses.replace(world, given={**world.arrays, "positions": np.stack(places)})
-    folder = world.folder(f"recording-{number}-{seed}")
+    places = [knot_times(np.array(draw.knots), world.times, fixes).positions(world.times) for fixes in world.fixes]
+    folder = dataclasses.replace(world, given={**world.arrays, "positions": np.stack(places)}).folder(
+        f"recording-{number}-{seed}"
+    )
     # Tables without their draw, of which a study would draw anew the truth that is replaced here.
-    return dataclasses.replace(folder, tables=dict(folder.tables)) if fitted_truth else folder
+    return dataclasses.replace(folder, tables=dict(folder.tables))
 
 
 def worlds(numbers: Mapping[str, float], names: Sequence[str] = RECORDINGS) -> dict[str, mc.World]:
@@ -103,16 +103,14 @@ def open_ended(knots: Any) -> Polyline:
     return Polyline(np.vstack([knots[:-1], knots[-1] + BEYOND * along]))
 
 
-def _on_path(
-    name: str, about: str, make: Callable[..., Tracker], motion: Callable[[Trajectory], Any]
-) -> mc.TrackerConfig:
+def _on_path(about: str, motion: Callable[[Trajectory], LineMotion]) -> mc.TrackerConfig:
     """A tracker as in the thesis: with normal errors, and without a start where readings agree on another place."""
 
     def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-        tracker = make(motion(trajectory), {FIXES: FloorFixes(MEASUREMENT_NOISE, None)})
+        tracker = line_tracker(motion(trajectory), {FIXES: FloorFixes(MEASUREMENT_NOISE, None)})
         return dataclasses.replace(tracker, track_loss=TrackLossPolicy(nis_limit=30.0, max_gap=np.inf))
 
-    return built(name, about, build)
+    return built("line-pf", about, build)
 
 
 def _ended(trajectory: Trajectory) -> LineMotion:
@@ -123,20 +121,13 @@ def _open(trajectory: Trajectory) -> LineMotion:
     return LineMotion(open_ended(trajectory.folder.rig.path_knots), 0.1)
 
 
-def _halting(trajectory: Trajectory) -> LineMotion | HaltingMotion:
-    return line_motion(path_of(trajectory.folder))
-
-
 def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, dof=None, planar=planar)
 
 
 KALMAN = built("fix-kf", "the thesis's Kalman filter, (1.3)-(1.21)", _kalman)
-PARTICLE = _on_path("line-pf", "the thesis's particle filter, (2.1)-(2.5)", line_tracker, _open)
-STOPPING = _on_path("line-pf", "the same on a path that ends at its last knot", line_tracker, _ended)
-GRID = _on_path("line-grid", "grid, no segment", line_grid_tracker, _ended)
-SEGMENT = _on_path("line-pf", "particles, segment", line_tracker, _halting)
-GRID_SEGMENT = _on_path("line-grid", "grid, segment", line_grid_tracker, _halting)
+PARTICLE = _on_path("the thesis's particle filter, (2.1)-(2.5)", _open)
+STOPPING = _on_path("the same on a path that ends at its last knot", _ended)
 
 
 def distances(tracked: mc.TrackedRuns) -> np.ndarray:
@@ -159,11 +150,6 @@ def least(results: mc.Results, tracker: str, measure: str = "error_m") -> float:
     swept = results.study.grid[SIGMA]
     pairs = [(world, tracker) for world in results.study.worlds]
     return float(swept[int(np.argmin([results.average(measure, pairs, **{SIGMA: s}).value for s in swept]))])
-
-
-def with_noise(config: mc.TrackerConfig, sigma: float) -> mc.TrackerConfig:
-    """The tracker with dynamic noise `sigma`."""
-    return dataclasses.replace(config, tunables={SIGMA: sigma})
 
 
 def with_middle_95(value: float, drawn: np.ndarray) -> mc.Value:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from trackwright.experiments.lab.papers.fitting import fitted
-from trackwright.experiments.lab.papers.line_thesis import leaving_line, rests_at_joins, table_3_1
+from trackwright.experiments.lab.papers.line_thesis import table_3_1
 from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     AVERAGES,
     COLUMNS,
@@ -20,7 +20,6 @@ from trackwright.experiments.lab.papers.line_thesis._assembly_line import (
     open_ended,
     root_mean_square,
 )
-from trackwright.experiments.lab.papers.line_thesis.leaving_line import cusum
 from trackwright.experiments.monte_carlo import FITTED, Conclusion, ExpectedResult, TrackedRuns
 from trackwright.experiments.monte_carlo.runner import run_study
 from trackwright.sim.line import THESIS_KNOTS
@@ -56,32 +55,6 @@ def test_the_error_is_the_mean_distance_or_its_root_mean_square():
     assert root_mean_square(run) == pytest.approx([np.sqrt(12.5)])
 
 
-def test_overshoot_is_how_far_past_the_join_the_estimate_is_while_the_tag_rests():
-    # Travels, rests at the first join for three rows, travels on; the estimate is 0.3 m too far throughout.
-    d = np.array([[3.0, 4.05, 4.05, 4.05, 4.5]])
-    line = open_ended(THESIS_KNOTS)
-
-    def place(d):
-        return np.stack([np.asarray(x, float) for x in line.position(d)], -1)
-
-    run = _run(place(d + 0.3), place(d))
-    assert rests_at_joins.arclengths(run)[2].tolist() == [[False, True, True, False, False]]
-    assert rests_at_joins.overshoot(run) == pytest.approx([0.3], abs=1e-5)
-    assert np.isnan(rests_at_joins.overshoot(_run(place(np.array([[1.0, 2.0, 3.0]]))))).all()
-
-
-def test_the_area_under_the_roc_is_the_share_of_pairs_in_the_right_order():
-    numbers = {("stays", True): np.array([0.0, 1.0, 2.0, 3.0]), ("1 m", False): np.array([2.5, 2.5, 4.0, 0.0])}
-    results = SimpleNamespace(
-        numbers=lambda measure, world, tracker: numbers[world, measure.startswith("at any")],
-        study=SimpleNamespace(seed=0),
-    )
-    # 2.5 beats three of four, twice; 4 all four; 0 ties one.
-    found = leaving_line.area(results, "1 m", "particle", 0.5)
-    assert found.value == pytest.approx((3 + 3 + 4 + 0.5) / 16)
-    assert found.low <= found.value <= found.high
-
-
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
     best = fitted("papers/line_thesis/table_3_1")["sigma_particle"]
@@ -112,21 +85,3 @@ def test_the_table_has_its_27_figures_and_says_which_were_fitted(table):
     average = next(c for c in claims if c.quantity == "Table 3.1, average, raw")
     assert abs(average.ratio - 1) < 0.1
     assert sum(isinstance(c, Conclusion) for c in claims) == 4
-
-
-TIMES = np.arange(0, 60, 0.5)
-
-
-def test_the_cusum_is_excess_distance_summed_over_time_and_never_negative():
-    distance = np.where((TIMES >= 20) & (TIMES < 30), 2.0, 0.2)
-    sums = cusum(TIMES, distance, 1.0)
-    # Ten seconds of one metre too much, then 0.8 m/s less.
-    assert sums[TIMES < 20].max() == 0.0
-    assert sums.max() == 10.0
-    assert abs(sums[TIMES == 35.0][0] - (10.0 - 0.8 * 5.5)) < 1e-9
-
-
-def test_each_row_counts_for_the_time_since_the_row_before():
-    times, distance = np.array([0.0, 1.0, 4.0, 4.5, 6.5]), np.array([9.0, 1.5, 3.0, 0.6, 1.1])
-    # 0.5 m for 1 s, 2 m for 3 s, −0.4 m for 0.5 s, 0.1 m for 2 s; the first row has no time before it.
-    np.testing.assert_allclose(cusum(times, distance, 1.0), [0.0, 0.5, 6.5, 6.3, 6.5], rtol=1e-12)
