@@ -21,7 +21,7 @@ LINES = {
 }
 """The most lines of Python of each folder at the top."""
 
-PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS, MOST_NAMES = 38_492, 239, 36_898, 13, 94
+PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS, MOST_NAMES = 38_492, 239, 36_881, 13, 94
 
 
 def _files(*suffixes: str) -> list[Path]:
