@@ -4,8 +4,7 @@ Given that the tip is at one of the points c, all equally likely, p(c) âˆ exp(â
 and covariance P. The tool is unlocked at the most probable point from p = 0.95 on, within half the spacing of it
 (Will et al. 2020, section 2.1, print no rule). Phases of three stations and ranges with constant biases of 5 cm.
 
-python examples/worksteps.py          # 40 runs of each condition, some minutes; finished parts are kept
-python examples/worksteps.py 8
+python examples/worksteps.py [RUNS]   # by default 40 of each condition, some minutes; finished parts are kept
 """
 
 import sys
@@ -27,25 +26,16 @@ SIGMA_P, SIGMA_R, BIAS, SECONDS, WARM_UP_S, REST_M, LEVEL = 0.25, 0.03, 0.05, 10
 
 
 def visits(keys, times, points, speed=0.3, rest_s=1.0):
-    """Paths (n, T, 3), m, of random visits of `points` (K, 3), a second at rest on each, none after itself.
-
-    Motions between points are straight and of minimum jerk (Flash & Hogan 1985), in no less than 0.25 s.
-    """
-    # So many rests exceed the duration, whatever lies between them.
-    count = int(np.ceil((times[-1] - times[0]) / rest_s)) + 1
-    draws = sim.uniforms(sim.stream(keys, "round"), (count + 1,)).astype(float)
-    first = np.minimum((draws[:, :1] * len(points)).astype(int), len(points) - 1)
-    # The index of the next point is 1 to K - 1 higher, modulo K.
-    steps = 1 + np.minimum((draws[:, 1:] * (len(points) - 1)).astype(int), len(points) - 2)
-    stops = points[np.concatenate([first, first + np.cumsum(steps, axis=1)], axis=1) % len(points)]
-    since, motions = times - times[0], np.diff(stops, axis=1)
-    durations = np.maximum(np.sqrt((motions**2).sum(axis=-1)) / speed, 0.25)
-    starts = np.cumsum(rest_s + durations, axis=1) - durations
-    path = np.repeat(stops[:, :1], len(since), axis=1)
-    for k in range(motions.shape[1]):
-        s = np.clip((since - starts[:, k, None]) / durations[:, k, None], 0.0, 1.0)
-        path += (s**3 * (10 - 15 * s + 6 * s**2))[..., None] * motions[:, k, None]
-    return path
+    """Paths (n, T, 3), m, of random visits of `points` (K, 3), a second at rest on each, by motions of minimum jerk."""
+    draws = sim.uniforms(sim.stream(keys, "round"), (int(np.ceil(np.ptp(times) / rest_s)) + 2,)).astype(float)
+    # No point after itself: the index of the next one is 1 to K - 1 higher, modulo K.
+    steps = np.concatenate([draws[:, :1] * len(points), 1 + draws[:, 1:] * (len(points) - 1)], axis=1).astype(int)
+    stops = points[np.cumsum(steps, axis=1) % len(points)]
+    motions = np.diff(stops, axis=1)
+    durations = np.maximum(np.linalg.norm(motions, axis=-1) / speed, 0.25)
+    starts = times[0] + np.cumsum(rest_s + durations, axis=1) - durations
+    s = np.clip((times[:, None] - starts[:, None]) / durations[:, None], 0.0, 1.0)
+    return stops[:, :1] + np.einsum("ntk,nkx->ntx", s**3 * (10 - 15 * s + 6 * s**2), motions)
 
 
 def bench(ids, seed, spacing):
@@ -53,13 +43,10 @@ def bench(ids, seed, spacing):
     x, y = np.meshgrid(*[(np.arange(3) - 1) * spacing] * 2, indexing="ij")
     points = np.stack([x.ravel(), y.ravel(), np.full(9, 0.15)], axis=1)
     path = partial(visits, points=points)
-    stations = sim.work_station()
-    phases = sim.PhaseDraw(stations, path, sigma_p=SIGMA_P, n_points=int(10 * SECONDS)).drawn(ids, seed)
+    phases = sim.PhaseDraw(sim.work_station(), path, sigma_p=SIGMA_P, n_points=int(10 * SECONDS))
     errors = {"biases": sim.antenna_biases(BIAS), "white": sim.white_noise(SIGMA_R), "turn": sim.round_robin()}
-    room = sim.chamber(CHAMBER - [2.5, 2.5, 1.05])
-    ranges = sim.RangeDraw(room, path, errors, 40.0, int(40 * SECONDS))
-    inertial = sim.ImuDraw(ranges).drawn(ids, seed)
-    of_phases, folder = phases.folder("bench"), inertial.folder("bench")
+    ranges = sim.RangeDraw(sim.chamber(CHAMBER - [2.5, 2.5, 1.05]), path, errors, 40.0, int(40 * SECONDS))
+    of_phases, folder = (draw.drawn(ids, seed).folder("bench") for draw in (phases, sim.ImuDraw(ranges)))
     named = pl.DataFrame({"name": [str(k) for k in range(9)]} | dict(zip(("x_m", "y_m"), points[:, :2].T, strict=True)))
     tables = {**folder.tables, "phases": of_phases.tables["phases"], "points": named}
     return replace(folder, rig=replace(folder.rig, stations=of_phases.rig.stations), tables=tables)
@@ -93,11 +80,10 @@ def share_of(hit):
 
 # Noise levels agree with this world, so that covariances can be right.
 ranges = {"sensors.ranges.sigma_r": SIGMA_R, "sensors.ranges.positive_skew": 1.0, "sensors.ranges.dof": 30.0}
-ranges |= {"start.sigma_bias": BIAS}
-constant = {"motion.time_constant": 1000.0, "motion.length": 1e4, "start.sigma_shared": 1e-3}
+constant = {"motion.time_constant": 1000.0, "motion.length": 1e4, "start.sigma_shared": 1e-3, "start.sigma_bias": BIAS}
 slow = {"motion.sigma_bias": BIAS, "motion.sigma_a": 0.3, "motion.memory": 5.0, "sensors.ranges.bias": [0.0] * 8}
 beams = {"beams.*.sensors.*.sigma_p": SIGMA_P, "fusion.sensors.bearings.reported_std_scale": 2.0}
-inertial = {"motion.noise.sigma_range_walk": 0.005, "sensors.ranges.bias": [0.0] * 4}
+inertial = {"motion.noise.sigma_range_walk": 0.005, "sensors.ranges.bias": [0.0] * 4, "start.sigma_bias": BIAS}
 TRACKERS = {
     "direct": TrackerConfig("direct", {"sensors.*.sigma_p": SIGMA_P, "motion.sigma_a": 0.3}, free_height=True),
     "cascade": TrackerConfig("cascade", beams, free_height=True),
@@ -119,18 +105,16 @@ study = Study(
     measures=MEASURES,
     metrics=(*MEASURES, "rmse_m"),
 )
-results = run_study(study, Path("worksteps"))
-
+value = partial(run_study(study, Path("worksteps")).value, world="bench")
+found = {(t, m): {s: value(m, tracker=t, **{"world.spacing": s}) for s in SPACINGS} for t in TRACKERS for m in MEASURES}
 figure, panels = plt.subplots(2, 2, figsize=(7.2, 5.0), layout="constrained", sharex=True, sharey=True)
-found = {}
 for axes, tracker in zip(panels.ravel(), TRACKERS, strict=True):
     for name in MEASURES:
-        values = [results.value(name, "bench", tracker, **{"world.spacing": s}) for s in SPACINGS]
-        found[tracker, name] = dict(zip(SPACINGS, (v.value for v in values), strict=True))
+        values = found[tracker, name].values()
+        print(f"{tracker}: {name}", {s: f"{v.value:.0%}" for s, v in found[tracker, name].items()})
         axes.plot(SPACINGS, [v.value for v in values], label=name)
         axes.fill_between(SPACINGS, [v.low for v in values], [v.high for v in values], alpha=0.15)
     axes.set(xscale="log", title=tracker)
-    print(f"{tracker}: named right", {s: f"{v:.0%}" for s, v in found[tracker, "named right"].items()})
 figure.supxlabel("spacing of the fastening points (m)")
 figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
 figure.savefig("worksteps.png", dpi=100)

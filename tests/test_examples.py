@@ -107,11 +107,11 @@ def test_the_planned_bound_is_that_of_cramer_and_rao_and_the_gradient_lowers_it_
 def test_fastening_points_are_told_apart_from_the_spacing_on_that_the_papers_name(example):
     found = example("worksteps", 8)["found"]
     for tracker in ("direct", "cascade"):
-        assert found[tracker, "named right"][0.005] < 0.5
-        assert found[tracker, "unlocked right"][0.005] < 0.05
+        assert found[tracker, "named right"][0.005].value < 0.5
+        assert found[tracker, "unlocked right"][0.005].value < 0.05
     for tracker in ("uwb", "uwb-imu"):
-        assert found[tracker, "named right"][0.2] > 0.85
-        assert found[tracker, "unlocked wrong"][0.2] < 0.05
+        assert found[tracker, "named right"][0.2].value > 0.85
+        assert found[tracker, "unlocked wrong"][0.2].value < 0.05
 
 
 @pytest.mark.slow
