@@ -46,9 +46,7 @@ _BY_SYSTEM: Sequence[tuple[str, str, Mapping[str, str]]] = (
         "fusion": "position from ranges, range differences, bearings and fixes in one EKF, with the biases of each "
         "kind",
     }),
-    ("aoa.rows", "bearings", {
-        "bearings": "position from azimuths and elevations of any number of stations, EKF",
-    }),
+    ("aoa.rows", "bearings", {"bearings": "position from azimuths and elevations of any number of stations, EKF"}),
     # Readings along a known path: ngbui-line, all six.
     ("line.rows", "ranges or fixes, and [path]", {
         "line-grid": "position on a known path from ranges or fixes, grid filter of arclength and speed",
@@ -85,9 +83,7 @@ _BY_SYSTEM: Sequence[tuple[str, str, Mapping[str, str]]] = (
         "fix-singer": "position from fixes, Kalman filter, Singer's acceleration model",
         "imm": "position from fixes, IMM filter of three constant-velocity models",
     }),
-    ("mhk.rows", "fixes", {
-        "mhk-stamped": "mhk, with each estimate at the time of the middle of its median window",
-    }),
+    ("mhk.rows", "fixes", {"mhk-stamped": "mhk, with each estimate at the time of the middle of its median window"}),
     ("baselines.rows", "fixes", {
         "fix-mirror": "position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides",
         "moving-average": "mean of the last 9 fixes, axis by axis",

@@ -29,7 +29,7 @@ import warnings
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -298,7 +298,7 @@ def _key(function: Any, arguments: Any) -> bytes | None:
     """The second key of a program, None where it must be traced."""
     settings = trace_settings()
     elsewhere = jax.local_device_count() > 1 or jax.default_backend() != "cpu"
-    if elsewhere or settings is None or any(name.startswith(USERS_FILE) for name in [*sys.modules]):
+    if elsewhere or settings is None or _has_users_file(len(sys.modules), next(reversed(sys.modules))):
         return None
     made_of = io.BytesIO()
     try:
@@ -307,6 +307,12 @@ def _key(function: Any, arguments: Any) -> bytes | None:
     except (pickle.PicklingError, TypeError, AttributeError):
         return None
     return b"".join((_base(), _text(settings).encode(), made_of.getvalue()))
+
+
+@lru_cache(maxsize=1)
+def _has_users_file(modules: int, last: str) -> bool:
+    """Whether a user's file is among so many modules; hundreds are searched again only when one was imported."""
+    return any(name.startswith(USERS_FILE) for name in [*sys.modules])
 
 
 def types_of(arguments: Any) -> Any:
@@ -348,12 +354,6 @@ def _base() -> bytes:
 _in_use: ProgramStore | None = None
 
 
-def use(store: ProgramStore) -> None:
-    """Load programs by their second key from now on; for processes that replace no function of ours."""
-    global _in_use
-    _in_use = store
-
-
 def kept_program(
     function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, Any] | None
 ) -> Program | None:
@@ -362,15 +362,15 @@ def kept_program(
 
 
 def keep_programs(say: Callable[[str], object]) -> None:
-    """Keeps programs in the user's cache directory; `say` gets a line where that is impossible."""
+    """Keeps programs, in processes that replace no function of ours; `say` gets a line where that is impossible."""
+    global _in_use
     # A program that jax cannot load is compiled and replaced.
     warnings.filterwarnings("ignore", message="Error reading persistent compilation cache entry")
     try:
         cache_programs(report=say)
     except UnusableInput as problem:
         say(str(problem))
-    if (store := _store_of_jax()) is not None:
-        use(store)
+    _in_use = _store_of_jax() or _in_use
 
 
 KEPT, LARGEST = 2**28, 2**25
