@@ -79,8 +79,10 @@ def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
         if rig_station.antennas is None:
             continue
         here, count = np.flatnonzero(station == names.index(name)), len(rig_station.antennas)
-        values, seen = np.zeros((len(times), count)), np.zeros((len(times), count), bool)
-        values[row[here]], seen[row[here]] = phases[here, :count], mask[here, :count]
+        values, seen = given = phases[here, :count], mask[here, :count]
+        if len(here) < len(times):
+            values, seen = (np.zeros((len(times), count), x.dtype) for x in given)
+            values[row[here]], seen[row[here]] = given
         readings[name] = Readings(values, seen)
     return trajectories_of(folder, rows.tags, starts, times, readings, {})
 
@@ -135,6 +137,8 @@ def _shared_rows(rows: TagRows, station: np.ndarray) -> tuple[np.ndarray, np.nda
     new = np.append(True, np.diff(rows.times) != 0)
     new[rows.starts[:-1]] = True
     group = np.cumsum(new) - 1
+    if np.bincount(group * (station.max() + 1) + station).max() == 1:
+        return group, np.append(group[rows.starts[:-1]], group[-1] + 1), rows.times[new]
     order, run, repeat = np.lexsort((station, group)), np.arange(len(group)), np.empty(len(group), int)
     same = np.append(False, (np.diff(group[order]) == 0) & (np.diff(station[order]) == 0))
     repeat[order] = run - np.maximum.accumulate(np.where(same, 0, run))
