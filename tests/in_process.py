@@ -39,7 +39,7 @@ def trackwright(*arguments: str | Path | float) -> CommandResult:
         mock.patch.object(terminal.ERRORS, "quiet", False),
         mock.patch.dict(style.STYLE, {"savefig.dpi": 40}),
         # Tests replace functions of ours, of which a program that is not traced knows nothing.
-        mock.patch.object(programs, "use"),
+        mock.patch.object(programs.ProgramStore, "program", return_value=None),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
