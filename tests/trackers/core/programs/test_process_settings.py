@@ -13,10 +13,10 @@ import numpy as np
 from trackwright.trackers.core.programs import keep
 if sys.argv[1] == "kept":
     keep()
-np.ones(200_000)
+np.ones(480_000)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 for _ in range(100):
-    np.ones(200_000)
+    np.ones(480_000)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
