@@ -131,7 +131,7 @@ def test_recordings_without_a_scored_row_are_refused(objective, error, words):
         fit(line_tracker(), stack(blind), objective, LEVELS, FitOptions(steps=2))
 
 
-@pytest.mark.parametrize("optimiser", [LBFGS(), Adam(5)], ids=["LBFGS", "Adam"])
+@pytest.mark.parametrize("optimiser", [LBFGS(), pytest.param(Adam(5), marks=pytest.mark.slow)])
 def test_a_fit_resumed_at_any_step_is_bit_identical(line_world, optimiser):
     saved = []
     options, on = (

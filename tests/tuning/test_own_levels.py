@@ -45,7 +45,7 @@ def _kalman_rmse(folder, sigma_a, sigma):
     return np.sqrt(sum(np.sum(np.square(e)) for e in errors) / ROWS)
 
 
-@pytest.mark.parametrize(("sigma_a", "sigma"), [(0.02, 0.3), (2.0, 0.03)])
+@pytest.mark.parametrize(("sigma_a", "sigma"), [pytest.param(0.02, 0.3, marks=pytest.mark.slow), (2.0, 0.03)])
 def test_a_recording_tells_the_levels_of_white_noise_and_motion(sigma_a, sigma):
     folder = _walk(sigma_a, _white(sigma))
     named = tw.build("fix-kf", folder)

@@ -43,6 +43,7 @@ def test_the_best_value_is_the_least_and_lies_where_the_walks_were_drawn(swept):
     assert found.best == {SIGMA_V: pytest.approx(0.3), SIGMA: pytest.approx(0.2)}
 
 
+@pytest.mark.slow
 def test_a_threshold_of_track_loss_is_swept_by_name_and_none_is_left_to_a_fit(batches):
     found = sweep(line_tracker(), batches, NLL, {"track_loss.max_gap": np.array([1e-3, np.inf])})
     # a gap of 1 ms is every row: the track is lost at each, and nothing is measured

@@ -27,6 +27,7 @@ def worse(unlike, tmp_path_factory):
     return out, trackwright("tune", *unlike, *FIT, "--prior", "flat", "--out", out)
 
 
+@pytest.mark.slow
 def test_values_with_which_a_left_out_recording_gets_worse_are_written_with_that_verdict(worse):
     out, said = worse
     assert said.code == 0, said.err

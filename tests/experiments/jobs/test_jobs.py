@@ -44,9 +44,7 @@ def _found(items, store, executor, *failed):
     return found
 
 
-@pytest.mark.parametrize(
-    "where", [Threads, lambda: Deadly(ThreadPoolExecutor(1), environment(), lambda item: item == 6)]
-)
+@pytest.mark.parametrize("where", [Threads, lambda: Deadly(ThreadPoolExecutor(1), environment(), (6).__eq__)])
 def test_what_the_store_lacks_is_computed_and_a_bad_part_costs_itself_alone(tmp_path, where):
     store = Numbers(tmp_path)
     store.keep(5, 55)
@@ -100,6 +98,7 @@ def test_a_cluster_that_is_none_is_refused_in_one_line(tmp_path, monkeypatch, cl
     assert f"--cluster {cluster}: {word}" in said.err.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):
     distributed = pytest.importorskip("distributed")
     other = "from trackwright.experiments.jobs import executors\nexecutors.version = lambda name: '0.0.1'\n"

@@ -66,7 +66,7 @@ def _rmse(errors):
     ("world", "bound"),
     [
         # a quarter above the larger of both trackers' errors over three seeds
-        ("whole", 0.035),
+        pytest.param("whole", 0.035, marks=pytest.mark.slow),
         ("a station is lost", 0.063),
         ("a station falls silent", 0.05),
         ("an antenna is dead", 0.034),

@@ -30,6 +30,7 @@ def _run(errors, recording="r"):
     return pl.DataFrame(table).with_columns(track=pl.lit(0), why=pl.lit(None, pl.String))
 
 
+@pytest.mark.slow
 def test_where_no_run_differs_some_difference_is_found_in_one_family_of_twenty():
     """Four runs with one part of the error in common, three comparisons of three metrics each: 9 in a family."""
     rng, wrong, plain, families = np.random.default_rng(0), 0, 0, 50
@@ -45,6 +46,7 @@ def test_where_no_run_differs_some_difference_is_found_in_one_family_of_twenty()
     assert plain / families > 0.15
 
 
+@pytest.mark.slow
 def test_the_interval_contains_the_true_difference_nineteen_times_in_twenty():
     rng, inside, runs = np.random.default_rng(1), 0, 150
     true = np.sqrt(2.0) * 0.3  # RMSE of two coordinates with standard deviations 1.3 and 1

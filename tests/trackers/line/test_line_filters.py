@@ -91,6 +91,7 @@ def test_estimates_over_200_keys_are_the_grids_within_3_standard_errors(pair):
     assert np.all(error < 3 * standard + slack)
 
 
+@pytest.mark.slow
 def test_the_likelihood_of_the_particles_has_the_grids_as_its_mean(pair):
     ratio = np.exp(pair.particles.log_likelihood.sum(axis=1) - pair.grid.log_likelihood.sum())
     # The grid's own likelihood is right to about half a percent here.

@@ -88,7 +88,7 @@ def _rmse(along, truth=STEADY):
     return np.sqrt(np.mean((along - truth) ** 2))
 
 
-@pytest.fixture(scope="module", params=[line_grid_tracker, line_tracker])
+@pytest.fixture(scope="module", params=[pytest.param(line_grid_tracker, marks=pytest.mark.slow), line_tracker])
 def tracked(request):
     return _tracked(request.param, {FIXES: FloorFixes(SIGMA)}, [{FIXES: _with_wild(kind)} for kind in KINDS])
 
@@ -107,7 +107,7 @@ CARRIED = {
 }
 
 
-@pytest.mark.parametrize("make", [line_grid_tracker, line_tracker])
+@pytest.mark.parametrize("make", [pytest.param(line_grid_tracker, marks=pytest.mark.slow), line_tracker])
 def test_a_tag_that_was_carried_to_another_place_on_the_path_is_found_within_a_second(make):
     estimates = _tracked(make, {FIXES: FloorFixes(SIGMA)}, [{FIXES: _fixes(s)} for s in CARRIED.values()])
     for k, truth in enumerate(CARRIED.values()):

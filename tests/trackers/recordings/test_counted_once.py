@@ -44,6 +44,7 @@ def test_rows_that_repeat_a_value_lose_it_and_stay(held):
         assert counted_once(kept, names) == (kept, [])
 
 
+@pytest.mark.slow
 def test_estimates_are_those_without_the_rows_that_repeat_and_no_surer_than_their_errors():
     folder, _ = _ranges(0.5)
     named = tw.build("uwb", folder)

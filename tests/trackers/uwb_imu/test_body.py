@@ -47,6 +47,7 @@ def folder():
     return _folder(1)
 
 
+@pytest.mark.slow
 def test_position_and_heading_are_found_whatever_the_first_heading_with_covariances_that_hold():
     errors = []
     for seed, first in enumerate((0.0, 1.5, 3.0, -1.5)):

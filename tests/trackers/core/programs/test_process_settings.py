@@ -2,8 +2,8 @@
 
 import os
 import platform
-import subprocess
 import sys
+from subprocess import check_output
 
 import pytest
 
@@ -24,8 +24,6 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="parameters of glibc")
 def test_memory_that_is_kept_is_not_cleared_again_under_the_limit_of_dasks_workers():
     limited = os.environ | {"MALLOC_TRIM_THRESHOLD_": "65536"}
-    faults = [
-        int(subprocess.check_output([sys.executable, "-c", FAULTS, how], env=limited)) for how in ("given", "kept")
-    ]
-    assert faults[0] > 100_000
-    assert faults[1] < 1_000
+    given, kept = (int(check_output([sys.executable, "-c", FAULTS, x], env=limited)) for x in ("given", "kept"))
+    assert given > 100_000
+    assert kept < 1_000
