@@ -144,7 +144,8 @@ def bearing_recording(
     where = np.stack([geometry[s] for s in station])
     _warn_of_map("bearing_recording", where[:, :3])
     reported = np.insert(_variances(std, values), 1, 0.0, axis=1)
-    nearby = recent_points(seconds(times), where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height)
+    starts, heights = np.array([0, len(times)]), np.array([np.nan if height is None else height], float)
+    nearby = recent_points(starts, seconds(times), where[:, :3], where[:, 3:], values, seen, heights)
     number = np.array([list(stations).index(s) for s in station], float)
     inputs = {"origin": where[:, :3], "axes": where[:, 3:], "station": number, "nearby": nearby}
     inputs[ROOM.name] = room_rows(np.stack([s.position for s in stations.values()]), None, len(values))

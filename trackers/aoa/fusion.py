@@ -36,32 +36,15 @@ from trackwright.trackers.parts.ranges import bias_in
 
 BEARINGS = "bearings"
 
-
-ORIGIN = Input(
-    "origin", (3,), "m", "the position of the station", "`bearing_recording`, or `bearing_inputs` of the station"
-)
-"""The input with the position of a row's station."""
-
-AXES = Input(
-    "axes",
-    (9,),
-    "",
-    "x, y and z axis of the station's array in world axes",
-    "`bearing_recording`, or `bearing_inputs` of the station",
-)
-"""The input with the orientation of a row's station."""
-
-
-STATION = Input(
-    "station",
-    (),
-    "",
+_FROM = "`bearing_recording`, or `bearing_inputs` of the station"
+ORIGIN = Input("origin", (3,), "m", "the position of the station", _FROM)
+AXES = Input("axes", (9,), "", "x, y and z axis of the station's array in world axes", _FROM)
+_MEANS, _COUNTED = (
     "the number of the station, from 0, for a view with biases",
-    "`bearing_recording`, which counts the stations in the order given",
-    Need.IF_GIVEN,
+    "`bearing_recording`, in the order given",
 )
-"""The input with the number of a row's station."""
-
+STATION = Input("station", (), "", _MEANS, _COUNTED, Need.IF_GIVEN)
+"""The inputs with position, orientation and number of a row's station."""
 
 CALIBRATION = Input(
     "calibration",

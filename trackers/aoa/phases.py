@@ -8,7 +8,8 @@ differ only where a difference wraps: see `centred`, `pairwise` and docs/papers.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -17,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.core.errors import require
-from trackwright.trackers.core.model.algebra import Scalar, Vector, compute_once, total
+from trackwright.trackers.core.model.algebra import Scalar, Vector, compute_once, inverse_or_zero, total
 from trackwright.trackers.core.model.inputs import HEIGHT, AnyArray, Input, Inputs
 from trackwright.trackers.core.model.motion import Noise, as_scale
 from trackwright.trackers.core.model.rig import Station
@@ -32,6 +33,9 @@ from trackwright.trackers.core.model.sensor import (
 from trackwright.trackers.core.model.state import wrap
 from trackwright.trackers.core.model.tunable import Real
 
+CLEAR = 1e-5
+"""Share of an array's scatter below which antennas are on a line or one: the rounding of single precision is less."""
+
 
 def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> Residual:
     """The default form: differences less their circular mean, wrapped and centred.
@@ -43,23 +47,19 @@ def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> R
     # A constant subtracted from all antennas is removed by the centring below, so its derivative may be left out.
     common = circular_mean([jax.lax.stop_gradient(d) for d in differences], seen, n)
     wrapped = [wrap(d - common) for d in differences]
-    centre = compute_once(total(s * d for s, d in zip(seen, wrapped, strict=True)) / n)
+    centre = compute_once(_dot(seen, wrapped) / n)
     residuals = [s * (d - centre) for s, d in zip(seen, wrapped, strict=True)]
     # The paper's differences wrap, and the two forms differ, exactly if two residuals differ by more than half a turn.
-    low = high = residuals[0]
-    for r in residuals[1:]:
-        low, high = jnp.minimum(low, r), jnp.maximum(high, r)
-    return _scaled(residuals, n, nis_dof, sigma_p, high - low > jnp.pi)
+    widest = reduce(jnp.maximum, residuals) - reduce(jnp.minimum, residuals)
+    return _scaled(residuals, n, nis_dof, sigma_p, widest > jnp.pi)
 
 
 def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> Residual:
     """The paper's form (8)–(17): all n(n − 1)/2 differences wrapped, then averaged per antenna, Dᵀν/n."""
     seen, n, nis_dof = _counts(reading)
     differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-    residuals = [
-        s * total(t * wrap(d - e) for t, e in zip(seen, differences, strict=True)) / n
-        for s, d in zip(seen, differences, strict=True)
-    ]
+    means = [_dot(seen, [wrap(d - e) for e in differences]) / n for d in differences]
+    residuals = [s * mean for s, mean in zip(seen, means, strict=True)]
     pairs = [(i, j) for i in range(len(seen)) for j in range(i)]
     # If nothing wraps, the difference of two residuals is the wrapped difference itself.
     gaps = [jnp.abs(wrap(differences[i] - differences[j]) - residuals[i] + residuals[j]) for i, j in pairs]
@@ -67,6 +67,10 @@ def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> 
         jnp.where((g > 1.0) & reading.seen[i] & reading.seen[j], 1, 0) for g, (i, j) in zip(gaps, pairs, strict=True)
     )
     return _scaled(residuals, n, nis_dof, sigma_p, wrapped > 0)
+
+
+def _dot(a: Sequence[Scalar], b: Any) -> Scalar:
+    return total(x * y for x, y in zip(a, b, strict=True))
 
 
 def _counts(reading: Reading) -> tuple[list[Scalar], Scalar, Scalar]:
@@ -121,6 +125,35 @@ class AbstractPlanePhases(AbstractPhaseSensor):
     @abstractmethod
     def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
         """The components along the array's x and y axes of the unit vector from the station to the tag."""
+
+    def residual_near(self, view: Any, reading: Reading, inputs: Inputs) -> Callable[[Any], Residual]:
+        """The n centred phases r as two channels and a rest, since they are linear in the two direction cosines.
+
+        With K the n × 2 wavenumbers less their mean over the antennas seen and KᵀK = LLᵀ, the channels are L⁻¹Kᵀr.
+        """
+        if self.paper_form:
+            return super().residual_near(view, reading, inputs)
+        whole, at = self.residual(reading, list(self.measure(view, inputs))), self.direction_cosines(view)
+        (seen, n, _), sigma, r = _counts(reading), self.sigma_p.value, whole.whitened
+        x, y = (column - column.mean() for column in self.wavenumbers.T)
+
+        def root(square: Scalar) -> Scalar:
+            clear = square > CLEAR * (x * x + y * y).sum()
+            return compute_once(jnp.where(clear, jnp.sqrt(jnp.where(clear, square, 1.0)), 0.0))
+
+        xx, xy, yy = (_dot(seen, a * b) - _dot(seen, a) * _dot(seen, b) / n for a, b in ((x, x), (x, y), (y, y)))
+        of_x = root(xx)
+        mixed = compute_once(xy * inverse_or_zero(of_x))
+        of_y = root(yy - mixed * mixed)
+        first = compute_once(_dot(r, x) * inverse_or_zero(of_x))
+        second = compute_once((_dot(r, y) - mixed * first) * inverse_or_zero(of_y))
+        whole = whole._replace(rest=jnp.maximum(_dot(r, r) - first * first - second * second, 0.0))
+
+        def near(other: Any) -> Residual:
+            u, v = (now - before for now, before in zip(self.direction_cosines(other), at, strict=True))
+            return whole._replace(whitened=[first - (of_x * u + mixed * v) / sigma, second - of_y * v / sigma])
+
+        return near
 
     def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         x, y = self.direction_cosines(view)

@@ -15,6 +15,9 @@ from trackwright.trackers.recordings.columns import first_not_before
 MIN_INFORMATION = 0.02
 """Smallest eigenvalue of the information matrix, per ray (0 … ⅔), at which a point is determined."""
 
+WINDOW_S = 1.0
+"""How long a ray counts, s."""
+
 
 def unit_vector(azimuth: Scalar, elevation: Scalar) -> jax.Array:
     """The unit vector of two angles in the array frame, (3,)."""
@@ -42,25 +45,6 @@ def nearest_to_rays(
 
 
 def recent_points(
-    times: np.ndarray,
-    origins: np.ndarray,
-    axes: np.ndarray,
-    angles: np.ndarray,
-    seen: np.ndarray,
-    height: float | None,
-    window: float = 1.0,
-) -> np.ndarray:
-    """For every row (T, 4): the point nearest to the rays of the last `window` s, m, and 1 where they determine it.
-
-    `times` (T,) s, sorted; `origins` (T, 3) m and `axes` (T, 9): of each row's station; `angles` (T, 2) rad and
-    `seen` (T,). With a known `height`, m, one ray can be enough; without, two directions are needed.
-    """
-    heights = np.array([np.nan if height is None else height], float)
-    both = np.stack([seen, seen], axis=1)
-    return recent_points_of_each(np.array([0, len(times)]), times, origins, axes, angles, both, heights, window)
-
-
-def recent_points_of_each(
     starts: np.ndarray,
     times: np.ndarray,
     origins: np.ndarray,
@@ -68,12 +52,12 @@ def recent_points_of_each(
     angles: np.ndarray,
     seen: np.ndarray,
     heights: np.ndarray,
-    window: float = 1.0,
 ) -> np.ndarray:
-    """As `recent_points`, for the rows of n tags one after another.
+    """For every row (T, 4): the point nearest to the rays of the last second, m, and 1 where they determine it.
 
-    `starts` (n + 1,): the first row of each tag, then their number. `heights` (n,) m: NaN where unknown. `seen` (T, 2):
-    an azimuth alone counts as the plane through the array's y axis that it tells.
+    `starts` (n + 1,): the first row of each of n tags, then T. `times` (T,) s, sorted by tag; `origins` (T, 3) m and
+    `axes` (T, 9): of each row's station; `angles` (T, 2) rad and `seen` (T, 2): an azimuth alone counts as the plane
+    through the array's y axis that it tells. `heights` (n,) m: NaN where unknown; with a known one a ray can be enough.
     """
     azimuth, elevation = angles.T
     u = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], axis=1)
@@ -85,7 +69,7 @@ def recent_points_of_each(
     projection = np.where(seen[:, None, None], np.where(both, ray, plane), 0.0)
     lengths = np.diff(starts)
     begin = np.repeat(starts[:-1], lengths)
-    first = first_not_before(times, begin, np.arange(len(times)), times - window)
+    first = first_not_before(times, begin, np.arange(len(times)), times - WINDOW_S)
     information, sums, counts = (
         _windowed(x, starts, first)
         for x in (projection, np.einsum("tij,tj->ti", projection, origins), seen.astype(float))

@@ -10,9 +10,9 @@ import numpy as np
 from trackwright.trackers.aoa.beam import PHASES, DelayAndSum, beam_tracker, in_plane_beam_tracker
 from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.direct import direct_tracker
-from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
+from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, CALIBRATION, bearing_inputs, bearing_tracker
 from trackwright.trackers.aoa.mapped_bearings import mapped_bearing_tracker
-from trackwright.trackers.aoa.rays import recent_points_of_each
+from trackwright.trackers.aoa.rays import recent_points
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.rig import Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
@@ -58,7 +58,7 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
     if folder.calibration is not None:
         inputs["calibration"], directions, added = folder.calibration.of_bearings(list(stations), number, values)
         reported[:, ::2] += added
-    nearby = recent_points_of_each(rows.starts, rows.times, origin, axes, directions, seen, heights)
+    nearby = recent_points(rows.starts, rows.times, origin, axes, directions, seen, heights)
     begin = np.repeat(rows.starts[:-1], np.diff(rows.starts))
     early = (np.arange(len(values)) - begin < MIN_RAYS - 1) & (rows.times - rows.times[begin] < PATIENCE_S)
     inputs[ROOM.name] = room_rows(np.stack([s.position for s in stations.values()]), folder.rig.outline, len(values))
@@ -95,8 +95,7 @@ def beam_trajectories(folder: RecordingFolder, free_height: bool) -> Iterable[Tr
     # Pairs by tag, and of a tag in the order in which its stations first appear.
     pairs, first, which = np.unique(pair, return_index=True, return_inverse=True)
     by_appearance = np.argsort(first)
-    rank = np.empty(len(pairs), int)
-    rank[by_appearance] = np.arange(len(pairs))
+    rank = np.argsort(by_appearance)
     order = np.argsort(rank[which], kind="stable")
     starts = np.concatenate([[0], np.cumsum(np.bincount(rank[which], minlength=len(pairs)))])
     tag, station = np.divmod(pairs[by_appearance], len(names))
@@ -175,14 +174,6 @@ def _beam(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return in_plane_beam_tracker(_station(trajectory), PHASES) if planar else beam_tracker(_station(trajectory), PHASES)
 
 
-def _stations(trajectory: Trajectory) -> int:
-    return len(trajectory.folder.rig.stations)
-
-
-def _calibrated(trajectory: Trajectory) -> bool:
-    return "calibration" in trajectory.recording.inputs
-
-
 def _map_of(folder: RecordingFolder) -> Mapping[str, np.ndarray]:
     return {} if folder.calibration is None else folder.calibration.bearing_map
 
@@ -204,10 +195,13 @@ def _without_map(folder: RecordingFolder, free_height: bool) -> list[str]:
 
 def _bearings(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     if planar and (by_place := _map_of(folder := trajectory.folder)):
-        return mapped_bearing_tracker(
-            _stations(trajectory), floor_grid(by_place, [*folder.rig.stations], folder.origin)
-        )
-    return bearing_tracker(_stations(trajectory), planar, **(CALIBRATED if _calibrated(trajectory) else {}))
+        names = [*folder.rig.stations]
+        return mapped_bearing_tracker(len(names), floor_grid(by_place, names, folder.origin))
+    return bearing_tracker(
+        len(trajectory.folder.rig.stations),
+        planar,
+        **(CALIBRATED if CALIBRATION.name in trajectory.recording.inputs else {}),
+    )
 
 
 def _arrays(trajectory: Trajectory) -> dict[str, Station]:
@@ -260,7 +254,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         trajectories=bearing_trajectories,
         build=_bearings,
         lacks=stations_of("bearings", 1),
-        geometry=lambda trajectory: (_stations(trajectory), _calibrated(trajectory), _map_key(trajectory.folder)),
+        geometry=lambda of: (len(of.folder.rig.stations), CALIBRATION.name in of.recording.inputs, _map_key(of.folder)),
         notices=_without_map,
         every_row=(BEARINGS,),
     ),

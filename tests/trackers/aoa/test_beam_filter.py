@@ -25,7 +25,7 @@ RUNS, ROWS, SIGMA_A, SIGMA_P = 1000, 40, 0.3, 0.2
 # A prior for which no phase difference is off by half a turn; beyond, an ambiguous lobe is equally valid.
 MEAN, SIGMAS = np.array([0.1, -0.2, 0.0, 0.0]), np.array([0.02, 0.02, 0.05, 0.05])
 STATION = work_station().stations["1"]
-ANTENNAS = len(STATION.antennas)
+ANTENNAS, WAVENUMBERS = len(STATION.antennas), 2 * np.pi / STATION.wavelength * STATION.antennas
 
 
 class Truth:
@@ -47,9 +47,7 @@ class Truth:
         _, beams = jax.lax.scan(step, Beam(*jnp.asarray(start.T)), (jnp.asarray(self.dts), jnp.asarray(kicks)))
         self.beams = np.moveaxis(np.asarray(beams), -1, 0)
         x = np.sin(self.beams[..., 0]) * np.cos(self.beams[..., 1])
-        plane = np.stack([x, np.sin(self.beams[..., 1])], axis=-1) @ (
-            2 * np.pi / STATION.wavelength * STATION.antennas.T
-        )
+        plane = np.stack([x, np.sin(self.beams[..., 1])], axis=-1) @ WAVENUMBERS.T
         common = rng.uniform(-np.pi, np.pi, (RUNS, ROWS, 1))
         self.phases = np.angle(np.exp(1j * (plane + common + SIGMA_P * rng.normal(size=plane.shape))))
 
@@ -58,13 +56,10 @@ class Truth:
         return stack([recording(times, {"1": (phases, self.seen)}, MEAN, cov) for phases in self.phases[:trajectories]])
 
 
-def _beam(x):
-    return Beam(*x)
-
-
 def _tracker(paper_form=False):
     sensor = PlanePhases(STATION, SIGMA_P, paper_form)
-    return Tracker(BeamMotion(Scale(SIGMA_A, "rad/s^2")), {"1": sensor}, KnownStart(_beam), track_loss=NEVER_LOST)
+    start = KnownStart(lambda x: Beam(*x))
+    return Tracker(BeamMotion(Scale(SIGMA_A, "rad/s^2")), {"1": sensor}, start, track_loss=NEVER_LOST)
 
 
 @pytest.fixture(scope="module")
@@ -86,11 +81,10 @@ def both_forms(estimates, truth):
 def test_it_is_the_papers_pseudo_inverse_filter_while_nothing_wraps(both_forms, truth, form):
     mine = both_forms[form]
     assert not mine.wrapped.any()
-    wavenumbers = 2 * np.pi / STATION.wavelength * STATION.antennas
     seen = truth.seen[1:]
     for trajectory in range(16):
         means, covs, log_likelihoods = paper_beam_filter(
-            wavenumbers, SIGMA_A, SIGMA_P, truth.dts[1:], truth.phases[trajectory, 1:], seen, MEAN, np.diag(SIGMAS**2)
+            WAVENUMBERS, SIGMA_A, SIGMA_P, truth.dts[1:], truth.phases[trajectory, 1:], seen, MEAN, np.diag(SIGMAS**2)
         )
         np.testing.assert_allclose(flat(mine[trajectory].mean)[1:], means, atol=1e-10)
         np.testing.assert_allclose(mine[trajectory].covariance[1:], covs, atol=1e-10)

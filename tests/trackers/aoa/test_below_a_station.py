@@ -5,7 +5,7 @@ import pytest
 
 import trackwright as tw
 from trackwright.trackers.aoa.fusion import bearing_tracker
-from trackwright.trackers.aoa.rays import recent_points_of_each
+from trackwright.trackers.aoa.rays import recent_points
 from trackwright.trackers.core.model.rig import Station
 
 STATIONS = {
@@ -46,5 +46,5 @@ def test_azimuths_alone_start_at_the_intersection_of_their_planes_at_a_known_hei
     axes = np.stack([s.world_from_array().T.ravel() for s in STATIONS.values()])
     origins = np.stack([s.position for s in STATIONS.values()])
     angles = np.stack([s.angles(place) for s in STATIONS.values()]) * seen
-    found = recent_points_of_each(np.array([0, 3]), np.zeros(3), origins, axes, angles, seen, np.array([1.0]))
+    found = recent_points(np.array([0, 3]), np.zeros(3), origins, axes, angles, seen, np.array([1.0]))
     np.testing.assert_allclose(found[2], [*place, 1.0], atol=1e-6)

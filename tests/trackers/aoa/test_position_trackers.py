@@ -105,6 +105,12 @@ def _rays(rng, rows, noise, position=MIDDLE):
     return np.sort(rng.uniform(0, 5, rows)), where[:, :3], where[:, 3:], angles, turn
 
 
+def _points(times, origins, axes, angles, seen, height):
+    """`recent_points` of one tag whose bearings have both angles or none."""
+    of_both, heights = np.stack([seen, seen], axis=1), np.array([height], float)
+    return recent_points(np.array([0, len(times)]), times, origins, axes, angles, of_both, heights)
+
+
 def _square_distances(points, origins, directions):
     """Of points (…, 3) from rays, by the cross product: Σ |(p − o) × u|²."""
     away = np.cross(points[..., None, :] - origins, directions)
@@ -122,7 +128,7 @@ def test_points_are_the_least_squares_of_the_rays_of_the_last_second(height):
     rng = np.random.default_rng(3)
     times, origins, axes, angles, turn = _rays(rng, 120, 0.05)
     seen = rng.random(120) < 0.8
-    points = recent_points(times, origins, axes, angles, seen, height)
+    points = _points(times, origins, axes, angles, seen, height)
     directions = _directions(angles, turn)
     several = np.array([len(set(turn[(times >= t - 1) & (times <= t) & seen])) > 1 for t in times])
     assert (points[several, 3] == 1).all()
@@ -140,7 +146,7 @@ def test_points_are_the_least_squares_of_the_rays_of_the_last_second(height):
 def test_exact_rays_intersect_at_the_position():
     times, origins, axes, angles, _ = _rays(np.random.default_rng(4), 60, 0.0)
     for height in (None, MIDDLE[2]):
-        points = recent_points(times, origins, axes, angles, np.ones(60, bool), height)
+        points = _points(times, origins, axes, angles, np.ones(60, bool), height)
         determined = points[:, 3] == 1
         assert determined[10:].all()
         np.testing.assert_allclose(points[determined, :3], np.broadcast_to(MIDDLE, (determined.sum(), 3)), atol=1e-9)
@@ -150,7 +156,7 @@ def _two_rays(first, second, height=None, seen=(True, True), gap=0.5):
     """The last row of two bearings from the first station; angles of each in rad."""
     where = np.array([bearing_inputs(STATIONS[0])] * 2)
     times, angles = np.array([0.0, gap]), np.array([first, second])
-    return recent_points(times, where[:, :3], where[:, 3:], angles, np.array(seen), height)[-1]
+    return _points(times, where[:, :3], where[:, 3:], angles, np.array(seen), height)[-1]
 
 
 @pytest.mark.parametrize(

@@ -116,16 +116,16 @@ class ExtendedKalman(AbstractExtendedKalman):
         """The belief after one reading, and the reading's `Innovation`."""
         point, rebuild = coordinates(belief.mean)
         has_student_t: list[bool] = []
+        residual = sensor.residual_near(motion.view(belief.mean), reading, inputs)
 
         def residual_of(*values: Scalar) -> list[Scalar]:
-            predicted = sensor.measure(motion.view(rebuild(values)), inputs)
-            result = sensor.residual(reading, list(predicted))
+            result = residual(motion.view(rebuild(values)))
             has_student_t[:] = [result.dof is not None]
             wrapped = jnp.where(result.wrapped, 1.0, 0.0)
             dof = 0.0 if result.dof is None else result.dof
-            return [*result.whitened, result.log_scale, result.nis_dof, wrapped, dof]
+            return [*result.whitened, result.log_scale, result.nis_dof, wrapped, dof, result.rest]
 
-        (*whitened, log_scale, nis_dof, wrapped, dof), rows = linearise(residual_of, point)
+        (*whitened, log_scale, nis_dof, wrapped, dof, apart), rows = linearise(residual_of, point)
         jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
         if sensor.curved:
             factors = flattening(residual_of, point, whitened, jacobian, belief)
@@ -135,11 +135,10 @@ class ExtendedKalman(AbstractExtendedKalman):
         # Student's t weights each channel by itself; compression would spread an outlier over all of them.
         student_t = has_student_t[0]
         channels = compute_once((whitened, jacobian))
-        residual, H, rest = (*channels, jnp.zeros_like(nis_dof)) if student_t else compute_once(compressed(*channels))
+        left, H, rest = (*channels, jnp.zeros_like(nis_dof)) if student_t else compute_once(compressed(*channels))
+        rest = rest + apart
         each = [row_for(belief.cov, h, len(point)) for h in H]
-        step, cov, nis, log_density = sequential_updates(
-            belief.cov, residual, each, len(point), dof if student_t else None
-        )
+        step, cov, nis, log_density = sequential_updates(belief.cov, left, each, len(point), dof if student_t else None)
         innovation = Innovation(log_scale + log_density - 0.5 * rest, nis + rest, nis_dof, wrapped)
         mean = retract(belief.mean, step)
         return Gaussian(mean, above_resolution(cov, coordinates(mean)[0])), innovation

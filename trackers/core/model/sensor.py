@@ -7,7 +7,7 @@ sensor draws no noise: simulated worlds (`sim`) and the models of trackers are d
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -60,7 +60,8 @@ class Residual(NamedTuple):
     For Student's t of `dof` ν it is log_scale − ½ (ν + 1) Σ log(1 + whitened²/ν). `log_scale`: the log density at zero
     residual.
 
-    `whitened`: unit covariance, zero for masked channels. `nis_dof`: its rank.
+    `whitened`: unit covariance, zero for masked channels; `rest`: the sum of squares of normal ones that no state
+    changes. `nis_dof`: the rank of all.
     `wrapped`: whether the sign of an angle's residual is ambiguous (near half a turn). `dof`: degrees of freedom ν of
     Student's t, the same for each channel; None for normal noise.
     """
@@ -70,12 +71,13 @@ class Residual(NamedTuple):
     nis_dof: Scalar
     wrapped: Scalar = False
     dof: Scalar | None = None
+    rest: Scalar = 0.0
 
     @property
     def log_density(self) -> Scalar:
         """The log density of the reading."""
         if self.dof is None:
-            return self.log_scale - 0.5 * total(r * r for r in self.whitened)
+            return self.log_scale - 0.5 * (total(r * r for r in self.whitened) + self.rest)
         dof = self.dof
         return self.log_scale - 0.5 * (dof + 1.0) * total(jnp.log1p(r * r / dof) for r in self.whitened)
 
@@ -112,6 +114,10 @@ class AbstractSensor(eqx.Module):
     @abstractmethod
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """The whitened residual of a reading from a prediction, with the log of its density's scale."""
+
+    def residual_near(self, view: Any, reading: Reading, inputs: Inputs) -> Callable[[Any], Residual]:
+        """The residual of a reading as a function of views near `view`; what no state changes may be its `rest`."""
+        return lambda near: self.residual(reading, list(self.measure(near, inputs)))
 
 
 class AbstractDelayedSensor(AbstractSensor):
