@@ -8,6 +8,7 @@ from __future__ import annotations
 import fnmatch
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, partial
 from threading import Lock
 from typing import Any
@@ -80,17 +81,13 @@ def _program_of(study: Study, condition: Condition, name: str) -> ChunkProgram |
     with _building:
         key = condition.index, name, bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
         if key not in study.programs:
-            study.programs[key] = None if study.measures else _made(study, condition, name)
+            ids, batches = np.zeros(piece_of(study.chunk), int), partial(_batches, study, condition, name)
+            study.programs[key] = None
+            with suppress(UnfitError):
+                if not study.measures:
+                    of, every = _folder(study, condition, ids[:1]), study.trackers[name].every
+                    study.programs[key] = compiled(of, batches, every, part_of(study.seed, ids))
         return study.programs[key]
-
-
-def _made(study: Study, condition: Condition, name: str) -> ChunkProgram | None:
-    config, ids = study.trackers[name], np.zeros(piece_of(study.chunk), int)
-    part, batches = part_of(study.seed, ids), partial(_batches, study, condition, name)
-    try:
-        return compiled(_folder(study, condition, ids[:1]), batches, config.every, part)
-    except UnfitError:
-        return None
 
 
 def require_fitting_parts(study: Study) -> None:

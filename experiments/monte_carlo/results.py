@@ -57,9 +57,13 @@ class Totals:
             elif what == "largest":
                 np.fmax.at(self.largest.setdefault(rest, np.full(self.blocks, np.nan)), blocks, values[:count])
             elif what == "cells":
-                track, at = np.divmod(values, BINS)
-                own, table = track < count, self.histograms.setdefault(rest, np.zeros((self.blocks, BINS)))
-                np.add.at(table, (blocks[track[own]], at[own]), arrays[f"counts {rest}"][own])
+                cell, table = (
+                    np.cumsum(values, dtype=int),
+                    self.histograms.setdefault(rest, np.zeros((self.blocks, BINS))),
+                )
+                track, at = np.divmod(cell[cell < count * BINS], BINS)
+                # To one axis numbers are added ten times as fast as to two.
+                np.add.at(table.ravel(), BINS * blocks[track] + at, arrays[f"counts {rest}"][: len(at)].astype(float))
             elif what == "measure":
                 self.measures.setdefault(rest, np.full(self.runs, np.nan))[start : start + count] = values[:count]
         self.bounds = arrays.get("bounds", self.bounds)

@@ -29,7 +29,7 @@ from trackwright.trackers.core.programs import keep
 from trackwright.trackers.recordings.files import config_hash, file_bytes, json_text, read_arrays, write_whole
 
 IDENTITY, CHUNKS = "study.json", "chunks"
-FORMAT = 4  # of the files of chunks; a folder with another format holds another study
+FORMAT = 5  # of the files of chunks; a folder with another format holds another study
 Part = tuple[int, int]  # a chunk: the index of its condition, and its number among the chunks of that
 Advance = Callable[..., None]
 """Progress: called with the number of finished chunks, and optionally the label of a condition."""
@@ -53,11 +53,6 @@ def identity(study: Study) -> dict[str, Any]:
     }
     plain: dict[str, Any] = json.loads(json_text(content))
     return plain
-
-
-def digest_of(study: Study) -> str:
-    """The digest of a study's identity."""
-    return config_hash(identity(study))
 
 
 def _named(function: Callable[..., Any]) -> str:
@@ -98,7 +93,7 @@ class ChunkStore(Store[Part, bytes]):
 
     @cached_property
     def _digest(self) -> bytes:
-        return digest_of(self.study).encode()
+        return config_hash(identity(self.study)).encode()
 
     def path(self, part: Part) -> Path:
         """The file of a chunk."""
@@ -124,7 +119,8 @@ class ChunkStore(Store[Part, bytes]):
         totals = {pair: Totals(study.runs) for pair in pairs}
         for part in ((condition.index, k) for condition in study.conditions for k in range(study.chunks)):
             try:
-                arrays = read_arrays(self.path(part))
+                alike = read_arrays(self.path(part)).items()
+                arrays = {name: x for names, rows in alike for name, x in zip(names.split("\n"), rows, strict=True)}
                 for k, name in enumerate(study.trackers):
                     of_tracker = {n.partition("/")[2]: x for n, x in arrays.items() if n.startswith(f"{k}/")}
                     totals[part[0], name].add(part[1] * study.chunk, of_tracker)
@@ -135,9 +131,15 @@ class ChunkStore(Store[Part, bytes]):
 
 
 def packed(trackers: Sequence[Mapping[str, np.ndarray]]) -> bytes:
-    """The content of a chunk's file, packed where it is computed: the caller stores the chunks of all workers."""
-    file, arrays = io.BytesIO(), {f"{k}/{name}": x for k, of in enumerate(trackers) for name, x in of.items()}
-    np.savez_compressed(file, allow_pickle=False, **arrays)
+    """The content of a chunk's file, packed where it is computed: the caller stores the chunks of all workers.
+
+    Arrays of one shape and type are one, named after all: each costs more than its numbers.
+    """
+    file, alike = io.BytesIO(), dict[tuple[Any, ...], dict[str, np.ndarray]]()
+    for name, x in ((f"{k}/{name}", x) for k, of in enumerate(trackers) for name, x in of.items()):
+        alike.setdefault((x.shape, x.dtype), {})[name] = x
+    stacked = {"\n".join(arrays): np.stack([*arrays.values()]) for arrays in alike.values()}
+    np.savez_compressed(file, allow_pickle=False, **stacked)
     return file.getvalue()
 
 
@@ -162,7 +164,7 @@ def run_study(
         return store.results()
     if not study.declared_in:
         raise UnusableInput(f"study '{study.name}': built in memory; expected one loaded from a file, as workers do it")
-    declared = study.declared_in, study.runs, study.seed, digest_of(study)
+    declared = study.declared_in, study.runs, study.seed, config_hash(identity(study))
     run(parts, functools.partial(_declared_chunk, *declared), store, executor, each)
     return store.results()
 
@@ -174,7 +176,7 @@ def _declared(what: str, runs: int, seed: int, digest: str) -> Study:
     Raises UnusableInput where its `digest` is another one: changed in memory, or another file at this place.
     """
     study = load_study(what, runs, seed)
-    if digest_of(study) != digest:
+    if config_hash(identity(study)) != digest:
         fix = "expected the caller's files at the same places, and no change in memory; write the change to the file"
         raise UnusableInput(f"study '{study.name}': a worker has another declaration of {what}; {fix}")
     return study

@@ -91,7 +91,7 @@ class Scores(NamedTuple):
 def arrays_of(parts: Sequence[Scores], n: int) -> dict[str, np.ndarray]:
     """The arrays of the first n trajectories of equal parts by name: sums, largest sizes by kind, and histograms.
 
-    A histogram is sparse: `cells`, indices in one (n, BINS), and their `counts`.
+    A histogram is sparse: `cells`, the steps between indices in one (n, BINS), and their `counts`.
     """
     arrays = {f"sum {name}": np.concatenate([p.sums[name] for p in parts])[:n].astype(float) for name in parts[0].sums}
     for kind in parts[0].tops:
@@ -100,6 +100,7 @@ def arrays_of(parts: Sequence[Scores], n: int) -> dict[str, np.ndarray]:
         counts = [np.bincount(np.asarray(part.cells[kind]).ravel(), minlength=size)[:size] for part in parts]
         whole = np.concatenate(counts)[: n * BINS]
         arrays[f"largest {kind}"] = np.where(tops < 0, np.nan, tops)
-        arrays[f"cells {kind}"] = filled = np.flatnonzero(whole)
-        arrays[f"counts {kind}"] = whole[filled]
+        filled = np.flatnonzero(whole)
+        for name, numbers in (("cells", np.diff(filled, prepend=0)), ("counts", whole[filled])):
+            arrays[f"{name} {kind}"] = numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
     return arrays

@@ -103,22 +103,14 @@ def open_ended(knots: Any) -> Polyline:
     return Polyline(np.vstack([knots[:-1], knots[-1] + BEYOND * along]))
 
 
-def _on_path(about: str, motion: Callable[[Trajectory], LineMotion]) -> mc.TrackerConfig:
+def _on_path(about: str, path: Callable[[RecordingFolder], Polyline]) -> mc.TrackerConfig:
     """A tracker as in the thesis: with normal errors, and without a start where readings agree on another place."""
 
     def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-        tracker = line_tracker(motion(trajectory), {FIXES: FloorFixes(MEASUREMENT_NOISE, None)})
+        tracker = line_tracker(LineMotion(path(trajectory.folder), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE, None)})
         return dataclasses.replace(tracker, track_loss=TrackLossPolicy(nis_limit=30.0, max_gap=np.inf))
 
     return built("line-pf", about, build)
-
-
-def _ended(trajectory: Trajectory) -> LineMotion:
-    return LineMotion(path_of(trajectory.folder), 0.1)
-
-
-def _open(trajectory: Trajectory) -> LineMotion:
-    return LineMotion(open_ended(trajectory.folder.rig.path_knots), 0.1)
 
 
 def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
@@ -126,8 +118,8 @@ def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
 
 
 KALMAN = built("fix-kf", "the thesis's Kalman filter, (1.3)-(1.21)", _kalman)
-PARTICLE = _on_path("the thesis's particle filter, (2.1)-(2.5)", _open)
-STOPPING = _on_path("the same on a path that ends at its last knot", _ended)
+PARTICLE = _on_path("the thesis's particle filter, (2.1)-(2.5)", lambda folder: open_ended(folder.rig.path_knots))
+STOPPING = _on_path("the same on a path that ends at its last knot", path_of)
 
 
 def distances(tracked: mc.TrackedRuns) -> np.ndarray:
