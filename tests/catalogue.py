@@ -113,9 +113,8 @@ def folder() -> RecordingFolder:
         along = np.interp(seconds, [0.0, 0.6, 1.6, 2.4, 4.0], [0.2, 0.2, 1.0, 1.0, 1.0 + 1.2])
         x, y = (np.interp(along, joins, KNOTS[:, axis]) for axis in (0, 1))
         height = 1.0 + 0.05 * k
-        for number, (t, position) in enumerate(
-            zip(times, np.column_stack([x, y, np.full(len(x), height)]), strict=True)
-        ):
+        places = np.column_stack([x, y, np.full(len(x), height)])
+        for number, (t, position) in enumerate(zip(times, places, strict=True)):
             head = {"t_s": float(t), "tag": f"{k}"}
             axes = dict(zip(("x_m", "y_m", "z_m"), position, strict=True))
             rows["truth"].append(head | axes)

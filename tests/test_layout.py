@@ -164,9 +164,7 @@ def test_a_class_of_modules_is_abstract_or_final():
         for node in ast.walk(ast.parse(path.read_text("utf-8")))
         if isinstance(node, ast.ClassDef)
     ]
-    bases = {
-        node.name: [ast.unparse(base).partition("[")[0].rpartition(".")[2] for base in node.bases] for node in classes
-    }
+    bases = {c.name: [ast.unparse(base).partition("[")[0].rpartition(".")[2] for base in c.bases] for c in classes}
 
     def is_module(name):
         return name == "Module" or any(is_module(base) for base in bases.get(name, []))
@@ -203,10 +201,8 @@ def test_every_function_of_a_test_file_is_a_test_a_fixture_or_private():
 
 
 def test_every_test_file_is_found_by_pytest():
-    holders = [
-        path for path in (ROOT / "tests").rglob("*.py") if re.search(r"^def test_", path.read_text("utf-8"), re.M)
-    ]
-    assert sorted(holders) == TESTS
+    files = (ROOT / "tests").rglob("*.py")
+    assert sorted(file for file in files if re.search(r"^def test_", file.read_text("utf-8"), re.M)) == TESTS
 
 
 @pytest.mark.parametrize("package", PUBLIC)

@@ -103,10 +103,8 @@ def range_recording(
     else:
         number = np.asarray(anchor, int)
         if table.ndim != 1 or number.shape != table.shape or not np.all((number >= 0) & (number < len(anchors))):
-            raise UnusableInput(
-                f"ranges have shape {table.shape} and anchor {number.shape}; expected (T,) both, with anchors 0 to "
-                f"{len(anchors) - 1}"
-            )
+            found = f"ranges have shape {table.shape} and anchor {number.shape}"
+            raise UnusableInput(f"{found}; expected (T,) both, with anchors 0 to {len(anchors) - 1}")
     values, seen = _masked("ranges", table[:, None], len(times))
     seen &= values > 0.0
     rig = Rig("arrays", anchors={str(number): place for number, place in enumerate(anchors)}, side=side)

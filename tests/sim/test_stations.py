@@ -97,7 +97,5 @@ def test_an_antenna_nearer_to_the_beacon_is_ahead_by_its_shorter_path():
 def test_a_beacon_far_away_sends_a_plane_wave():
     far = np.array([s.position for s in STATIONS]).mean(axis=0) - [3e3, 2e3, 1e4]
     # The wave bends by d² / 2r, here below 36 mm squared over 20 km: 6e-8 m or 3e-5 rad.
-    spherical, plane = (
-        phases - phases[..., :1] for phases in (spherical_phases(STATIONS, far), plane_phases(STATIONS, far))
-    )
+    spherical, plane = (x - x[..., :1] for x in (spherical_phases(STATIONS, far), plane_phases(STATIONS, far)))
     np.testing.assert_allclose(wrapped(spherical - plane), 0, atol=1e-4)

@@ -69,9 +69,8 @@ def test_levels_stay_where_errors_last():
         range_m += 0.2 * lasting / lasting.std() + 0.02 * random.normal(size=ROWS)
         ranges.append(pl.DataFrame({"t_s": TIMES, "tag": "T", "anchor": name, "range_m": range_m}))
     rig = Rig("walk", anchors=anchors, tags=walk.rig.tags)
-    folder = RecordingFolder(
-        "walk", None, rig, {"ranges": pl.concat(ranges).sort("t_s"), "truth": walk.tables["truth"]}
-    )
+    tables = {"ranges": pl.concat(ranges).sort("t_s"), "truth": walk.tables["truth"]}
+    folder = RecordingFolder("walk", None, rig, tables)
     named = tw.build("uwb", folder)
     own = fitted(named, folder)
     assert own.tracker is named

@@ -148,10 +148,8 @@ def _directions(rows: pl.DataFrame, truth: np.ndarray, stations: Stations) -> np
     for (recording, ident), part in known.group_by("recording", "station", maintain_order=True):
         own, at = stations.get(str(recording), {}), part["row"].to_numpy()
         if ident not in own:
-            raise UnusableInput(
-                f"the tracks of recording '{recording}': station '{ident}' is not in its rig; found "
-                f"{', '.join(own) or 'no stations'}; give the recording that was tracked"
-            )
+            found = f"station '{ident}' is not in its rig; found {', '.join(own) or 'no stations'}"
+            raise UnusableInput(f"the tracks of recording '{recording}': {found}; give the recording that was tracked")
         angles[at] = own[str(ident)].angles(truth[at])
     return angles
 

@@ -126,9 +126,8 @@ def atomic_write(path: Path | str, writer: Callable[[Path], object]) -> Path:
             os.replace(temporary, path)
     except (OSError, pl.exceptions.PolarsError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise UnusableInput(
-            f"cannot write {path}: {reason}; expected a folder with space that may be written to; choose another folder"
-        ) from error
+        fix = "expected a folder with space that may be written to; choose another folder"
+        raise UnusableInput(f"cannot write {path}: {reason}; {fix}") from error
     return path
 
 

@@ -224,10 +224,8 @@ class Selection:
         first = float(table["t_s"].to_numpy().min())
         for time in (low, high):
             if 0.0 < time < UNIX_S <= first:
-                raise UnusableInput(
-                    f"{where}the times count from 1970, and {time:.12g} s is long before them; {time:.12g} s after the "
-                    f"start is {first + time:.12g}"
-                )
+                fix = f"{time:.12g} s after the start is {first + time:.12g}"
+                raise UnusableInput(f"{where}the times count from 1970, and {time:.12g} s is long before them; {fix}")
         return table.filter(pl.col("t_s").is_between(low, high))
 
 
@@ -285,10 +283,8 @@ def read_recording(path: str | Path, placed: bool = True) -> RecordingFolder:
     measured = {tag for name in KINDS if name in tables for tag in tables[name]["tag"].unique()}
     true = {*tables["truth"]["tag"].unique()} if "truth" in tables else measured
     if measured and not measured & true:
-        raise UnusableInput(
-            f"{path}: no common tag: truth has {listed(map(repr, sorted(true)))}, the measurements have "
-            f"{listed(map(repr, sorted(measured)))}; expected the same ids in both; correct their spelling"
-        )
+        found = f"truth has {listed(map(repr, sorted(true)))}, measurements have {listed(map(repr, sorted(measured)))}"
+        raise UnusableInput(f"{path}: no common tag: {found}; expected the same ids in both; correct their spelling")
     notices += (f"{one.where}: {one.message}" for one in check_rows(rig, tables))
     return RecordingFolder(rig.name, path, rig, tables, tuple(notices))
 

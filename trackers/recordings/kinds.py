@@ -187,9 +187,8 @@ class Kind:
         assert self.predicted is not None
         values, expected = self.predicted(positions, sensors), (len(positions), sensors.antennas.shape[1])
         if np.shape(values) != expected:
-            raise UnusableInput(
-                f"kind {self.name}: predicted gave {np.shape(values)}, expected {expected}; usual fix: values[:, None]"
-            )
+            found = f"predicted gave {np.shape(values)}, expected {expected}"
+            raise UnusableInput(f"kind {self.name}: {found}; usual fix: values[:, None]")
         return values
 
     def errors(self, values: np.ndarray, positions: np.ndarray, sensors: Sensors, columns: Sequence[str]) -> np.ndarray:

@@ -230,9 +230,8 @@ def _elsewhere(cluster):
 
 def test_a_cluster_computes_the_same_bits_and_a_recording_that_ends_workers_costs_its_own_line(tmp_path, monkeypatch):
     write_archive(tmp_path / "archive", 4)
-    (tmp_path / "mine.py").write_text(
-        "from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
-    )
+    own = "from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
+    (tmp_path / "mine.py").write_text(own)
     options = (*PLAIN, "--tracker", f"{tmp_path}/mine.py:MINE", "--lag", 2)
     assert trackwright("track", tmp_path / "archive", *options, "--out", tmp_path / "here").code == 0
     monkeypatch.setattr(command, "cluster_executor", _elsewhere)

@@ -39,9 +39,8 @@ def _station(position, rotation):
     return Station(np.asarray(position, float), Rotation.from_matrix(rotation).as_quat(scalar_first=True))
 
 
-STATIONS = [
-    _facing(np.array(p), np.array([0.0, 0.0, 1.0])) for p in ([6.0, 0.0, 2.5], [-3.0, 5.0, 2.0], [-3.0, -5.0, 3.0])
-]
+PLACES = np.array([[6.0, 0.0, 2.5], [-3.0, 5.0, 2.0], [-3.0, -5.0, 3.0]])
+STATIONS = [_facing(place, np.array([0.0, 0.0, 1.0])) for place in PLACES]
 
 
 def _kinematic(x):

@@ -27,9 +27,8 @@ def _with(folder, rig=None, **tables):
 
 
 def _known_height(folder):
-    return _with(
-        folder, Rig(folder.name, anchors=folder.rig.anchors, tags={t: Tag(height=1.2) for t in folder.rig.tags})
-    )
+    tags = dict.fromkeys(folder.rig.tags, Tag(height=1.2))
+    return _with(folder, Rig(folder.name, anchors=folder.rig.anchors, tags=tags))
 
 
 def test_a_known_height_hides_z_from_planar_trackers_and_stands_for_it_in_mhk(world):

@@ -14,16 +14,12 @@ from trackwright.trackers.recordings.folder import read_recording
 RIG = 'format = 1\nname = "hall"\n[anchors]\n17 = [0.0, 0.0, 2.0]\n42 = [5.0, 0.0, 2.0]\n'
 
 
-@pytest.fixture(autouse=True)
-def _rosbags():
-    """Skips the tests where rosbags is not installed."""
-    pytest.importorskip("rosbags", reason="rosbags is not installed; the extra ros has it")
+pytest.importorskip("rosbags", reason="rosbags is not installed; the extra ros has it")
 
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
     """Bags of each kind, a rig and a mapping of all their topics."""
-    pytest.importorskip("rosbags", reason="rosbags is not installed; the extra ros has it")
     folder = tmp_path_factory.mktemp("bags")
     for kind in ("bag", "db3", "mcap"):
         write_bag(folder / ("ros1.bag" if kind == "bag" else f"ros2-{kind}"), kind)
@@ -55,13 +51,10 @@ topic = "/odom"
 @pytest.mark.parametrize("name", ["ros1.bag", "ros2-db3", "ros2-mcap", "ros2-mcap/ros2-mcap.mcap"])
 def test_a_bag_becomes_a_recording(bags, tmp_path, name):
     out = tmp_path / "hall"
-    said = trackwright(
-        "import", bags / name, "--mapping", bags / "map.toml", "--rig", bags / "rig.toml", "--tag", "cart", "--out", out
-    )
+    how = ("--mapping", bags / "map.toml", "--rig", bags / "rig.toml", "--tag", "cart", "--out", out)
+    said = trackwright("import", bags / name, *how)
     assert said.code == 0, said.err
-    tables = {
-        name: pl.read_parquet(out / f"{name}.parquet") for name in ("ranges", "imu", "truth", "fixes", "odometry")
-    }
+    tables = read_recording(out).tables
     assert {name: len(table) for name, table in tables.items()} == {
         "ranges": 2 * ROWS, "imu": ROWS, "truth": ROWS, "fixes": ROWS, "odometry": ROWS,
     }  # fmt: skip
@@ -72,9 +65,8 @@ def test_a_bag_becomes_a_recording(bags, tmp_path, name):
     times = START + np.arange(ROWS) * 0.1
     for table in (tables["imu"], tables["truth"], tables["fixes"]):
         assert np.allclose(table["t_s"], times, rtol=0, atol=1e-6)
-    assert tables["truth"].select("x_m", "y_m", "z_m").to_numpy() == pytest.approx(
-        np.stack([place(k) for k in range(ROWS)])
-    )
+    places = np.stack([place(k) for k in range(ROWS)])
+    assert tables["truth"].select("x_m", "y_m", "z_m").to_numpy() == pytest.approx(places)
     assert tables["truth"].select("qw", "qx", "qy", "qz").row(0) == pytest.approx((0.8, 0, 0, 0.6))
     assert tables["imu"].row(0, named=True)["accel_z_mps2"] == pytest.approx(9.81)
     assert tables["imu"].row(0, named=True)["gyro_y_radps"] == pytest.approx(0.2)
@@ -101,7 +93,6 @@ def test_what_a_bag_does_not_hold_is_refused(bags, tmp_path, arguments, words):
 @pytest.fixture
 def bag(recordings):
     """The bag of a real walk, beside the recording that was made of it by hand."""
-    pytest.importorskip("rosbags", reason="rosbags is not installed; the extra ros has it")
     path = recordings.parent / "recordings-raw" / "isas-walk-1.bag"
     return path if path.is_file() else pytest.skip(f"no bag at {path}")
 

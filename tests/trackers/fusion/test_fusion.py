@@ -99,9 +99,8 @@ def test_likelihood_and_moments_are_those_of_dense_conditioning():
     # Angles in units of metres at their distance.
     unit = np.where(np.isin(np.arange(13), [6, 7]), FAR, 1.0)
     np.testing.assert_allclose(mean[1:] * unit, means * unit, rtol=1e-3, atol=1e-4)
-    np.testing.assert_allclose(
-        estimates.covariance[1:] * np.outer(unit, unit), covs * np.outer(unit, unit), rtol=1e-3, atol=1e-5
-    )
+    units = np.outer(unit, unit)
+    np.testing.assert_allclose(estimates.covariance[1:] * units, covs * units, rtol=1e-3, atol=1e-5)
     np.testing.assert_allclose(estimates.log_likelihood[1:], density, rtol=1e-4, atol=1e-3)
 
 
@@ -112,9 +111,8 @@ def _drift(levels):
 TIMES = np.arange(0.0, 20.0, 0.1)
 PATH = np.column_stack([3 + 2 * np.cos(TIMES / 3), 4 + 2 * np.sin(TIMES / 4), np.full(len(TIMES), 1.1)])
 PLACES = {"A": np.array([0.0, 0.0, 2.5]), "B": np.array([6.0, 0.0, 2.2])}
-STATIONS = {
-    name: Station(place, facing(place, np.array([3.0, 4.0, 2.0]), (0, 0, 1.0))) for name, place in PLACES.items()
-}
+CENTRE = np.array([3.0, 4.0, 2.0])
+STATIONS = {name: Station(place, facing(place, CENTRE, (0, 0, 1.0))) for name, place in PLACES.items()}
 
 
 def _folder(ranges, azimuths, elevation=False, height=1.1, later=0.0):
@@ -179,7 +177,6 @@ def test_fixes_that_may_come_from_the_ranges_are_fused_on_request_alone():
     # An unknown latency has no effect there, so that it cannot be set.
     assert "sensors.fixes.latency" in build("fusion", both).tunables
     assert "sensors.fixes.latency_std" not in build("fusion", both).tunables
-    with pytest.raises(
-        UnusableInput, match="two of the tables ranges, tdoa, bearings, fixes, found the table ranges alone"
-    ):
+    words = "two of the tables ranges, tdoa, bearings, fixes, found the table ranges alone"
+    with pytest.raises(UnusableInput, match=words):
         build("fusion", folder)

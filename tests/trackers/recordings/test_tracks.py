@@ -17,12 +17,8 @@ from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.evaluate import rows_of
 from trackwright.trackers.recordings.folder import RecordingFolder
 
-ANCHORS = {
-    str(k): np.array(p, float)
-    for k, p in enumerate(
-        [(0, 0, 3), (8, 0, 2.5), (8, 6, 3), (0, 6, 2.5), (4, 0, 0.3), (8, 3, 0.5), (4, 6, 0.4), (0, 3, 0.2)]
-    )
-}
+PLACES = [(0, 0, 3), (8, 0, 2.5), (8, 6, 3), (0, 6, 2.5), (4, 0, 0.3), (8, 3, 0.5), (4, 6, 0.4), (0, 3, 0.2)]
+ANCHORS = {str(k): np.array(p, float) for k, p in enumerate(PLACES)}
 
 
 def _ranges(times, noise, tags=("a",), seed=0):

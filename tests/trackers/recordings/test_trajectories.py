@@ -21,9 +21,7 @@ def _with(folder, **tables):
 
 def test_beams_are_a_trajectory_for_each_tag_and_station_with_true_directions(good):
     trajectories = list(beam_trajectories(good, False))
-    assert {(trajectory.tag, trajectory.station) for trajectory in trajectories} == {
-        (t, s) for t in ("T1", "T2") for s in ("S1", "S2")
-    }
+    assert {(one.tag, one.station) for one in trajectories} == {(t, s) for t in ("T1", "T2") for s in ("S1", "S2")}
     trajectory = trajectories[0]
     assert trajectory.recording.readings[PHASES].values.shape == (50, 4)
     angles, known = trajectory.recording.truth["direction"]

@@ -101,9 +101,8 @@ def test_calibration_finds_where_the_ranges_of_a_tag_end_and_headings_follow():
         assert (np.abs(np.array(found.offset) - end) < 3 * np.array(found.offset_sigmas)).all()
         assert max(found.offset_sigmas) < 0.01
     other = _folder(14, 1.0, ends)
-    turned = [
-        tw.evaluate(tw.build("body", f).run(f), f)["rmse_heading_rad"] for f in (other, other.calibrated(calibration))
-    ]
+    both = (other, other.calibrated(calibration))
+    turned = [tw.evaluate(tw.build("body", f).run(f), f)["rmse_heading_rad"] for f in both]
     assert turned[1] < 0.8 * turned[0]
 
 

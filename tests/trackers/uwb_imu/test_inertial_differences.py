@@ -132,9 +132,8 @@ def test_moments_and_likelihood_are_those_of_a_filter_in_numpy():
         sigma = np.sqrt(np.diag(cov))
         # In single precision, of a prior of metres: hundredths of a standard deviation.
         np.testing.assert_allclose(_less(estimate, x) / sigma, 0.0, atol=0.02)
-        np.testing.assert_allclose(
-            found.covariance[k] / np.outer(sigma, sigma), cov / np.outer(sigma, sigma), atol=0.01
-        )
+        sigmas = np.outer(sigma, sigma)
+        np.testing.assert_allclose(found.covariance[k] / sigmas, cov / sigmas, atol=0.01)
         np.testing.assert_allclose(found.log_likelihood[k], density, atol=0.02, rtol=0.01)
 
 

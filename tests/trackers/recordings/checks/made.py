@@ -24,9 +24,7 @@ Make = Callable[[RecordingFolder], RecordingFolder]
 
 def with_columns(name: str, *columns: pl.Expr, **named: pl.Expr) -> Make:
     """Other columns of a table."""
-    return lambda folder: replace(
-        folder, tables={**folder.tables, name: folder.tables[name].with_columns(*columns, **named)}
-    )
+    return lambda of: replace(of, tables={**of.tables, name: of.tables[name].with_columns(*columns, **named)})
 
 
 def with_rows(name: str, kept: pl.Expr) -> Make:
@@ -41,9 +39,7 @@ def only(*tables: str) -> Make:
 
 def with_anchors(change: Callable[[dict[str, np.ndarray]], dict[str, Any]]) -> Make:
     """Other places of the anchors that the change gives of all."""
-    return lambda folder: replace(
-        folder, rig=replace(folder.rig, anchors={**folder.rig.anchors, **change(dict(folder.rig.anchors))})
-    )
+    return lambda of: replace(of, rig=replace(of.rig, anchors={**of.rig.anchors, **change(dict(of.rig.anchors))}))
 
 
 def rotated(change: Callable[[np.ndarray], np.ndarray], chosen: Sequence[str] | None = None) -> Make:
