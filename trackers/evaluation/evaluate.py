@@ -171,7 +171,7 @@ def condition_of(expression: str, names: Sequence[str]) -> pl.Expr:
     """The condition on metrics of these names; raises UnusableInput for a text that is none."""
     problem = "no condition on metrics, expected NAME OPERATOR NUMBER joined by and, or, e.g. p95_m>0.5"
     try:
-        condition = pl.sql_expr(expression)
+        condition = pl.sql_expr(f"({expression})")  # else 50cm is 50, called cm
         used = condition.meta.root_names()
         if unknown := [name for name in used if name not in names]:
             problem = f"no metric '{unknown[0]}'{near(unknown[0], names)}"

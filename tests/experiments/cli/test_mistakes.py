@@ -69,6 +69,7 @@ MISTAKES = [
     (SWEEP + "1:2:3 --over motion.sigma_a=1:2:3 --over a=1:2:3", "3 times", "once, or twice"),
     (SWEEP + "1:2:3 --over sensors.fixes.sigma_horizontal=1:2:3", "twice for different patterns"),
     (SWEEP + "1:2:3 --objective accuracy", "'accuracy' is no objective", "rmse"),
+    ("evaluate {tracked} --fail-if rmse_m>50cm", "--fail-if", "no condition on metrics, expected NAME OPERATOR NUMBER"),
     ("evaluate {tracked} --fail-if p95>0.5", "--fail-if", "no metric 'p95' (did you mean p95_m?)"),
     ("evaluate {tracked} --from 99", "no estimate is of these tags and times"),
     ("evaluate {good}", "tracks.parquet: no such file", "track"),
