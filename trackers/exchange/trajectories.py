@@ -29,6 +29,7 @@ from trackwright.trackers.recordings.tracks_table import is_bearing, read_tracks
 
 TUM = ("t_s", *AXES, *QUATERNION[1:], QUATERNION[0])
 _TEXT = ("recording", "tag", "station", "status", "wrapped")
+_NUMBER = re.compile(r"q[wxyz]|nis(?:_dof)?|log_likelihood|.*_(?:s|m|m2|rad|mps)")  # columns of numbers
 
 
 class Poses(NamedTuple):
@@ -106,11 +107,14 @@ def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
     if missing := {"t_s", "x_m", "y_m", *({"std_x_m", "std_y_m"} if "std_x_m" in columns else ())} - {*columns}:
         fix = "expected also z_m, std_x_m …, qw … qz where known; bring it into this form by `trackwright import`"
         raise UnusableInput(f"{path}: no column {listed(sorted(missing))}; found {listed(columns, 12)}; {fix}")
-    table = file.frame.select(pl.col(n).cast(pl.String) if n in _TEXT else numbers_of(file, n) for n in columns)
+    used = [name for name in columns if name in _TEXT or _NUMBER.fullmatch(name)]
+    table = file.frame.select(pl.col(n).cast(pl.String) if n in _TEXT else numbers_of(file, n) for n in used)
+    file.refuse(table["t_s"].is_null(), "t_s", "seconds; remove the row")
     # The standard deviation of a known height is 0.
     reported = table.select(pl.col("^std_.*$").replace(0.0, None))
     check_stds(file, reported, reported.columns)
     table, notices = without_identities(table)
+    notices += [f"columns not used: {listed(sorted({*columns} - {*used}), 12)}"] * (len(used) < len(columns))
     keys, tracks = [name for name in ("recording", "tag", "station") if name in columns], list[pl.DataFrame]()
     for rows in table.partition_by(keys, maintain_order=True) if keys else [table]:
         times, said = table_times.unwrapped_times(rows["t_s"].to_numpy())
@@ -339,7 +343,7 @@ def compare_tracks(
     """The tracks as compared by options of `compare_trajectories`, the errors of each that has a truth, and metrics."""
     if is_bearing(tracks):
         raise UnusableInput("the tracks hold bearings; expected positions; leave the trajectory options out")
-    none, compared = pl.DataFrame(schema={"tag": pl.String}), list[TrajectoryErrors]()
+    none, compared, without = pl.DataFrame(schema={"tag": pl.String}), list[TrajectoryErrors](), list[pl.DataFrame]()
     truths = {folder.name: folder.tables.get("truth", none) for folder in folders}
     by_track = tracks.partition_by(["recording", "tag"], as_dict=True, maintain_order=True)
     for (recording, tag), rows in by_track.items():
@@ -347,8 +351,12 @@ def compare_tracks(
         if not truth.is_empty():
             errors = compare_trajectories(rows, truth, *options, name=f"track of tag {tag} in '{recording}'")
             compared.append(replace(errors, recording=str(recording), tag=str(tag)))
+        else:
+            without.append(rows)
     if not compared:
         found = f"tracks of {listed(f'{name}, tag {tag}' for name, tag in by_track)}; truths of {listed(truths)}"
         raise UnusableInput(f"no track has a truth: {found}; give the --truth of the same recording and tag")
-    moved = pl.concat([errors.aligned for errors in compared])
+    # A track that no alignment moves keeps its covariances, and one without a truth is counted.
+    kept = [name for name in tracks.columns if all(name in errors.aligned.columns for errors in compared)]
+    moved = pl.concat([table.select(kept) for table in (*(errors.aligned for errors in compared), *without)])
     return moved, compared, evaluate(moved, folders)

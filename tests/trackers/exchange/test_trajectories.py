@@ -10,15 +10,17 @@ from scipy.spatial.transform import Rotation
 from tests.in_process import assert_refused, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
 from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.evaluation.rows import AXES
 from trackwright.trackers.exchange.trajectories import (
     associate,
+    compare_tracks,
     compare_trajectories,
     read_trajectory,
     write_trajectory,
 )
 from trackwright.trackers.recordings.columns import QUATERNION
-from trackwright.trackers.recordings.folder import read_recording
+from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 
 RECORDINGS = ("tiers-1tag-01", "tiers-2tag-03", "iasl-drone-1", "starloc-fast-s1", "rcv-drone-3")
 STEPS = ("1m", "10f")
@@ -76,9 +78,8 @@ def test_pose_errors_equal_those_of_evo_on_real_recordings(recordings, tmp_path,
 
 
 TIMES = np.arange(400) * 0.05
-SPIRAL = _table(
-    TIMES, np.stack([3 * np.cos(0.7 * TIMES), 2 * np.sin(0.9 * TIMES), 0.3 * np.sin(0.4 * TIMES) + 1], axis=1)
-)
+PLACES = [3 * np.cos(0.7 * TIMES), 2 * np.sin(0.9 * TIMES), 0.3 * np.sin(0.4 * TIMES) + 1]
+SPIRAL = _table(TIMES, np.stack(PLACES, axis=1))
 
 
 @pytest.mark.parametrize(("align", "scale"), [("se2", 1.0), ("se3", 1.0), ("sim3", 1.3)])
@@ -153,6 +154,25 @@ def test_rows_out_of_order_are_sorted_with_a_notice(tmp_path):
         read_trajectory(tmp_path / "b.tum")
     assert "1; sorted" in notices[1]
     assert "without attitude" in notices[0]
+
+
+def test_columns_without_use_are_named_and_a_row_without_a_time_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("t_s,x_m,y_m,note\n0,1,2,walk\n1,1,2,\n")
+    found, notices = read_trajectory(tmp_path / "a.csv")
+    assert (found.columns, notices) == (["t_s", "x_m", "y_m"], ["columns not used: note"])
+    (tmp_path / "a.csv").write_text("t_s,x_m,y_m\n0,1,2\n,1,2\n")
+    with pytest.raises(UnusableInput, match=r"row 2 \(line 3\), column t_s: empty"):
+        read_trajectory(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("align", ["none", "se2", "origin"])
+def test_a_track_without_a_truth_is_counted_beside_one_that_has_it(align):
+    each = pl.DataFrame({"tag": ["1", "2"]})
+    tracks = SPIRAL.with_columns(recording=pl.lit("room"), std_x_m=0.1).join(each, how="cross")
+    truths = {"truth": tracks.filter(tag="1").drop("recording", "std_x_m")}
+    _, compared, evaluation = compare_tracks(tracks, [RecordingFolder("room", None, Rig("room"), truths)], align)
+    assert [one.tag for one in compared] == ["1"]
+    assert (evaluation.overall["n"], evaluation.overall["n_no_truth"]) == (400, 400)
 
 
 @pytest.fixture(scope="module")
