@@ -22,7 +22,7 @@ from trackwright.trackers.core.errors import UnusableInput, listed, near, requir
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.core.on_demand import fault_of, from_file, split_name
 from trackwright.trackers.exchange.mapping import ORIGIN, Source, TableMapping, read_mapping
-from trackwright.trackers.exchange.text_tables import Reading, columns_of, parsed, read_rows, sensor_of
+from trackwright.trackers.exchange.text_tables import Reading, columns_of, parsed, read_rows, sensor_of, texts_of
 from trackwright.trackers.exchange.trajectories import Similarity, read_tum
 from trackwright.trackers.recordings.checks.readings import (
     Compared,
@@ -139,7 +139,7 @@ def read_source(path: Path, name: str, mappings: Sequence[TableMapping], tag: st
         if len(file.frame):  # a log may have lines of some of the tables alone
             source.read(file, mapping)
     if not source.tables:
-        raise UnusableInput(f"{path}: no line has values; expected JSON objects, or lines that fit the mapping")
+        raise UnusableInput(f"{path}: no line has values; expected a JSON object in each, or what fits the mapping")
     return source
 
 
@@ -180,6 +180,7 @@ def _polars(frame: Any, table: str) -> pl.DataFrame:
         raise UnusableInput(f"{table}: found {type(frame).__name__}; expected a pandas or polars frame")
     # An index that is not the row number holds values, often the times.
     frame = frame if type(frame.index).__name__ == "RangeIndex" else frame.reset_index()
+    require(frame.columns.is_unique, table, listed(frame.columns, 12), "a name for each column, once")
     plain = {str(name): column.astype(object).where(column.notna(), None).tolist() for name, column in frame.items()}
     return pl.DataFrame(plain, strict=False)
 
@@ -275,16 +276,19 @@ def _geometry(path: Path | None, out: Path, reading: Reading) -> tuple[Rig | Non
 
 def _read_anchors(path: Path, reading: Reading) -> tuple[Rig, list[str]]:
     """The anchors in a table with ids and columns as `X`, `x_mm`, `x [mm]`, `X (m)`; and notices."""
-    file, notices = read_rows(path, reading)
+    # The separator and the header of the readings are not theirs.
+    file, notices = read_rows(path, replace(reading, separator=None, header="", skip=0, missing=(), lines=None))
+    if units := [line for line in notices if "has units" in line]:
+        raise UnusableInput(f"--rig {path}: {units[0].partition(';')[0]}; expected them in the header, as x_mm")
     matches = {n: re.fullmatch(r"([xyz])(?:[\W_]+(\w+)\W*)?", n.strip().lower()) for n in file.frame.columns}
     axes = {m[1]: f"`{name}` in {m[2] or 'm'}" for name, m in matches.items() if m}
     others = [name for name, match in matches.items() if not match]
     ids = [name for name in others if name.lower() in ("anchor", "anchor_id", "id", "name")] or others
-    if {*axes} != {*"xyz"} or len(ids) != 1:
+    if sorted(m[1] for m in matches.values() if m) != [*"xyz"] or len(ids) != 1:
         expected = "anchor, x, y, z (m; x_mm or x [mm]: mm), or a rig.toml"
         raise UnusableInput(f"--rig {path}: columns {listed(map(repr, matches), 12)}; expected {expected}")
     places = [parsed("x_m", axes[axis], file).numbers(file).alias(axis) for axis in "xyz"]
-    rows = pl.DataFrame([file.frame[ids[0]].cast(pl.String).str.strip_chars().replace("", None).alias("id"), *places])
+    rows = pl.DataFrame([texts_of(file.frame[ids[0]]).replace("", None).alias("id"), *places])
     lacking = rows.select(pl.any_horizontal(pl.all().is_null()) | ~pl.col("id").is_first_distinct()).to_series()
     if lacking.any():
         where = file.location(first_row(lacking), ids[0])

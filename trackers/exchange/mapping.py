@@ -32,7 +32,7 @@ class TableMapping(Reading):
     columns: Mapping[str, str] = field(default_factory=dict)
     topic: str | None = None
     tag: str | None = None
-    where: Mapping[str, list[str | int | float]] = field(default_factory=dict)
+    where: Mapping[str, list[bool | str | int | float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.table not in table_kinds():
@@ -64,7 +64,11 @@ class Source:
         asked = pl.repeat(True, len(file.frame), eager=True)
         for column, values in mapping.where.items():
             texts = texts_of(file.frame[parsed("where", f"`{column}`", file).sources[0]])
-            asked &= texts.is_in([str(value) for value in values]).fill_null(False)
+            numbers = [float(value) for value in values if not isinstance(value, str)]
+            same = texts.is_in([str(value) for value in values]) | texts.cast(pl.Float64, strict=False).is_in(numbers)
+            if not (asked := asked & same.fill_null(False)).any():
+                found = f"{listed(map(str, values))} fits no row; found {listed(texts.unique(maintain_order=True))}"
+                raise UnusableInput(f"{file.path}: {name}: where {column} = {found}; expected one of these")
         if left := len(asked) - int(asked.sum()):
             self.notices.append(f"{name}: {counted(left, 'row')} left out: with another {', '.join(mapping.where)}")
             lines = None if file.lines is None else pl.Series(file.lines).filter(asked)
@@ -77,7 +81,9 @@ class Source:
             tables.append(table.with_columns(pl.int_range(pl.len()).alias(ORIGIN) + len(self.parts) * 2**40))
             self.parts.append((file, {n: "+".join(e.sources) or e.text for n, e in columns.items()}))
             used |= {source for e in columns.values() for source in e.sources}
-        table, wanted = pl.concat(tables), table_kinds()[name].layout(tables[0].columns)
+        # In the order of the source, in which a clock that goes back is found.
+        table = pl.concat(tables, how="diagonal").sort(pl.col(ORIGIN) % 2**40, maintain_order=True)
+        wanted = table_kinds()[name].layout(table.columns)
         filled = table.filter(pl.any_horizontal(pl.col(wanted.values).is_not_null()))
         if len(filled) < len(table):
             self.notices.append(f"{name}: {counted(len(table) - len(filled), 'row')} without a value left out")
@@ -92,7 +98,7 @@ class Source:
         self.notices += [f"{name}: {line}" for line in notices]
         before = [self.tables[name]] if name in self.tables else []
         table = pl.concat([*before, filled], how="diagonal")
-        self.tables[name] = table.sort("t_s", maintain_order=True) if before or len(tables) > 1 else table
+        self.tables[name] = table.sort("t_s", maintain_order=True) if before else table
 
     def location(self, table: str, row: int, column: str) -> str:
         """Where a cell of a table stands in the source, in words."""

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import codecs
 import csv
-import gzip
 import json
 import re
-import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -17,8 +15,7 @@ from typing import Any, Literal, NamedTuple
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, counted, listed, near
-from trackwright.trackers.recordings.files import file_bytes
-from trackwright.trackers.recordings.tables import TableFile, first_row, read_table_file, remedy
+from trackwright.trackers.recordings.tables import TableFile, content_of_file, first_row, read_table_file
 
 CLOCK, DAYS = "hh:mm:ss", {"matlab": 719529.0, "excel": 25569.0}  # times of day; days, counted to the begin of 1970
 
@@ -59,11 +56,14 @@ class Expression(NamedTuple):
         said = f"{self.target}={self.text}"
         if not self.sources:
             raise UnusableInput(f"{said}: names no column; expected {_FORM}")
-        if _DATE.fullmatch(self.unit) and file.frame[self.sources[0]].dtype not in (pl.Datetime, pl.Date):
+        is_time = file.frame[self.sources[0]].dtype in (pl.Datetime, pl.Date)
+        if _DATE.fullmatch(self.unit) and not is_time:
             return _dates(file, self.sources, self.unit)
+        if is_time and UNITS["s"].get(self.unit, 1.0) != 1.0:
+            raise UnusableInput(f"{said}: holds times, read as seconds since 1970; expected no unit")
         frame = pl.DataFrame({f"c{k}": numbers_of(file, source) for k, source in enumerate(self.sources)})
         try:
-            total = frame.with_columns(x=pl.sql_expr(self.sql).cast(pl.Float64))["x"]
+            total = frame.with_columns(x=pl.sql_expr(f"({self.sql})").cast(pl.Float64))["x"]
             lost = frame.select(pl.all_horizontal(pl.all().is_finite()) & pl.lit(~total.is_finite())).to_series()
         except pl.exceptions.PolarsError as error:
             raise UnusableInput(f"{said}: cannot be read ({str(error).splitlines()[0]}); expected {_FORM}") from error
@@ -77,9 +77,10 @@ class Expression(NamedTuple):
         """Its texts in the rows of a file; raises UnusableInput for a column of other values."""
         if self.constant is not None:
             return pl.repeat(self.constant, len(file.frame), dtype=pl.String, eager=True)
-        column = file.frame[self.sources[0]]
+        column = file.frame[self.sources[0]] if self.sources else pl.Series()
         if self.sql != "c0" or not (column.dtype.is_integer() or column.dtype in (pl.String, pl.Categorical, pl.Enum)):
-            raise UnusableInput(f"{self.target}={self.text} of type {column.dtype}; expected text or whole numbers")
+            expected = "text or whole numbers in a column, or 'TEXT' for every row"
+            raise UnusableInput(f"{self.target}={self.text} of type {column.dtype}; expected {expected}")
         return texts_of(column)
 
 
@@ -88,14 +89,16 @@ def parsed(target: str, text: str, file: TableFile | None = None) -> Expression:
     text, name, known = text.strip(), target.partition("[")[0], [] if file is None else file.frame.columns
     if re.fullmatch(r"'.*'|\".*\"", text):
         return Expression(name, text, constant=text[1:-1])
-    if (whole := text.strip("`")) in known:
-        return Expression(name, text, (whole,))
     body, unit = re.findall(r"(?s)^(.*?)(?:\s+in\s+(\S+))?$", text)[0]
     unit, units = unit.lower() if {"Y", ":"} & {*unit} else unit, UNITS.get(name.rpartition("_")[2], {})
+    if (whole := text.strip("`")) in known:
+        if text == whole and units.get(unit, 1.0) != 1.0:
+            raise UnusableInput(f"{target}={text}: expected `{text}` in {unit}, or `{text}` if that is not its unit")
+        return Expression(name, text, (whole,))
     sources = dict[str, str]()
     if unit and unit not in units and not ("iso" in units and _DATE.fullmatch(unit)):
         raise UnusableInput(
-            f"{target}: unit {unit!r} does not fit {name}; expected one of {', '.join(units) or 'none'}"
+            f"{target}: unit {unit!r} does not fit {name}; expected one of {listed(units, 20) or 'none'}"
         )
 
     def column(match: re.Match[str]) -> str:
@@ -123,23 +126,7 @@ def numbers_of(file: TableFile, column: str) -> pl.Series:
     cells = file.frame[column]
     if cells.dtype in (pl.Datetime, pl.Date):
         return _since_1970(cells)
-    if cells.dtype != pl.String:
-        if not (cells.dtype.is_numeric() or cells.dtype in (pl.Null, pl.Boolean)):
-            raise UnusableInput(f"{file.path}: column {column} has type {cells.dtype}; expected numbers")
-        return cells.cast(pl.Float64).fill_nan(None)
-    text = points = cells.str.strip_chars()
-    if file.thousands:
-        mark, point = re.escape(file.thousands), re.escape(file.decimal)
-        grouped = text.str.contains(rf"^[-+]?\d{{1,3}}(?:{mark}\d{{3}})+(?:{point}\d*)?$").fill_null(False)
-        points = text.str.replace_all(file.thousands, "", literal=True).zip_with(grouped, text)
-    if file.decimal == ",":
-        # A point, as it groups thousands, is then no part of a number.
-        points = points.str.replace(".", "x", literal=True).str.replace(",", ".", literal=True)
-    numbers = points.cast(pl.Float64, strict=False)
-    if numbers.null_count() > text.null_count() and (wrong := numbers.is_null() & (text != "").fill_null(False)).any():
-        row, cell = first_row(wrong), text.filter(wrong)[0]
-        raise UnusableInput(f"{file.location(row, column)}: {cell[:40]!r}; expected a number; {remedy(cell, column)}")
-    return numbers.fill_nan(None)
+    return cells.cast(pl.Float64) if cells.dtype == pl.Boolean else file.numbers(column)
 
 
 def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
@@ -152,22 +139,27 @@ def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
         parts = texts.str.replace(",", ".").str.extract_groups(r"^(\d\d?):(\d\d)(?::(\d\d(?:\.\d*)?))?$")
         h, m, s = (part.cast(pl.Float64) for part in parts.struct.unnest())
         found = h * 3600 + m * 60 + s.fill_null(0.0)
-        found += 86400.0 * (found.forward_fill().diff() < -43200.0).fill_null(False).cum_sum()
+        steps = found.forward_fill().diff().fill_null(0.0)
+        # A row that is late over midnight is of the day before.
+        found += 86400.0 * (steps < -43200.0).cum_sum() - 86400.0 * (steps > 86340.0).cum_sum()
     else:
         form = order.replace("yyyy", "%Y").replace("mmm", "%b").replace("mm", "%m").replace("dd", "%d")
         time = re.search(r"\d[T ]+\d\d?:\d\d(:\d\d(?:[.,]\d*)?)?\s*(Z|[-+]\d\d:?(?:\d\d)?)?$", first)
         form += " %H:%M" + ":%S%.f" * bool(time[1]) + "%#z" * bool(time[2]) if time else ""
         for old, new in ((r"(\d)[T ]+(\d)", "$1 $2"), (",", "."), (r"\s*Z$", "+00:00"), (r"\s+([-+]\d)", "$1")):
             texts = texts.str.replace(old, new)
+        # Of other years, as 26 and 0001, nanoseconds since 1970 do not fit into 64 bits.
+        texts = texts.set(~texts.str.contains(r"^\S*(?:19|20|21)\d\d").fill_null(False), None)
         found = _since_1970(texts.str.to_datetime(form, time_unit="ns", strict=False))
     if (wrong := full & found.is_null()).any():
         row = first_row(wrong)
         alike = f"as {first!r}, a time zone in all rows or none" if row != first_row(full) else "no order is guessed"
-        mark = next((one for one in "/." if one in given[row].split(" ")[0]), "-")
-        orders = [f"mm{mark}dd{mark}yyyy", f"dd{mark}mm{mark}yyyy"]
-        orders = ["dd-mmm-yyyy"] if re.search("-[A-Za-z]{3}-", given[row]) else orders
-        fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
-        fix = "two digits of a year, AM and PM are not read; write them in full" if order in orders else fix
+        fix = "write years in full, from 1900 on, hours of 24, zones as +02:00"
+        date = re.match(r"\d\d?([-/.])(\w+)\1\d{4}", given[row])
+        orders = [form.replace("-", date[1]) for form in ("mm-dd-yyyy", "dd-mm-yyyy")] if date else [order]
+        orders = ["dd-mmm-yyyy"] if date and date[2].isalpha() else orders
+        if order not in orders:
+            fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
         raise UnusableInput(f"{file.location(row, column)}: {given[row]!r}; expected {order}, {alike}: {fix}")
     return found
 
@@ -232,18 +224,16 @@ def read_rows(path: Path, form: Reading, is_json: bool = False) -> tuple[TableFi
 
 def _text(path: Path, form: Reading) -> str:
     """The text of a file, which may be packed; raises UnusableInput with the line of bytes that are no text."""
+    data = content_of_file(path)
+    utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        data = file_bytes(path)
-        data = gzip.decompress(data) if path.name.endswith(".gz") else data
-        utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         # What a serial line has garbled fits no pattern.
         text = data.decode(form.encoding or ("utf-16" if utf_16 else "utf-8"), "replace" if form.lines else "strict")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise UnusableInput(f"{path}: line {line} is no {error.encoding}; name another, as --encoding cp1252") from None
-    except (OSError, EOFError, zlib.error, LookupError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise UnusableInput(f"{path}: cannot be read ({reason}); check path, file and --encoding") from error
+    except LookupError as error:
+        raise UnusableInput(f"{path}: cannot be read ({error}); expected --encoding cp1252, for example") from error
     if "\0" in text and not form.lines:
         raise UnusableInput(f"{path}: holds binary data, expected text; name its encoding, as --encoding utf-16-le")
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
@@ -280,7 +270,8 @@ def _of_table(path: Path, text: str, form: Reading) -> Rows:
     if names and wrong.any():
         line, cell = rows.row(first_row(wrong))
         found = f"{counted(len(cell), 'cell')}, expected {width} as in line {at}, the header"
-        raise UnusableInput(f"{path}: line {line} has {found}; is a quote open, or a decimal a comma? {_HEADER}")
+        fix = f"is a quote open, a decimal a comma, or {mark!r} not the --separator?"
+        raise UnusableInput(f"{path}: line {line} has {found}; {fix} {_HEADER}")
     if wrong.any():
         notices.append(f"{counted(int(wrong.sum()), 'row')} with fewer than {width} cells: the others are empty")
     names = [name or f"column{k}" for k, name in enumerate(names or [""] * width, 1)]
@@ -317,9 +308,10 @@ def _of_lines(path: Path, text: str, pattern: re.Pattern[str] | None) -> Rows:
 
     What stands before is the column `time`; `line` counts the lines that are read. Others are left out and counted.
     """
-    if text.lstrip().startswith("[") and pattern is None:
-        with suppress(ValueError):
-            text = "\n".join(map(json.dumps, json.loads(text)))
+    if pattern is None:
+        with suppress(ValueError):  # one object or list may go over several lines
+            whole = json.loads(text)
+            text = "\n".join(map(json.dumps, whole if isinstance(whole, list) else [whole]))
     rows, lines, bad, read = list[dict[str, str]](), list[int](), list[int](), 0
     for number, line in enumerate(text.split("\n"), 1):
         if not line.strip() or line.startswith("#"):
@@ -329,7 +321,7 @@ def _of_lines(path: Path, text: str, pattern: re.Pattern[str] | None) -> Rows:
         of_line = [{k: v.strip(_BEFORE) for k, v in one.groupdict().items() if v} for one in found]
         if pattern is None and begin >= 0:
             with suppress(ValueError):
-                of_line = _json_rows(json.loads(line[begin:]), "")
+                of_line = _json_rows(json.loads(line[begin:].rstrip(", \t")), "")
         if any(of_line):
             time = line[:begin].strip(_BEFORE)
             rows += [{"line": str(read)} | ({"time": time} if time else {}) | row for row in of_line]

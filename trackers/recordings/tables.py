@@ -9,13 +9,14 @@ import io
 import re
 import zlib
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.files import file_bytes
@@ -69,6 +70,26 @@ class TableFile:
             found = f"{cell[:40]!r}" if isinstance(cell, str) else "empty" if cell is None else f"{cell:g}"
             raise UnusableInput(f"{self.location(row, column)}: {found}, expected {expected}")
 
+    def numbers(self, column: str) -> pl.Series:
+        """The column as Float64, null where empty or NaN; raises UnusableInput at a text, or for another type."""
+        cells = self.frame[column]
+        if cells.dtype != pl.String:
+            if not (cells.dtype.is_numeric() or cells.dtype == pl.Null):
+                raise UnusableInput(f"{self.path}: column {column} has type {cells.dtype}, expected plain numbers")
+            return cells.cast(pl.Float64).fill_nan(None)
+        text = points = cells.str.strip_chars()
+        if self.thousands:
+            mark, point = re.escape(self.thousands), re.escape(self.decimal)
+            grouped = text.str.contains(rf"^[-+]?\d{{1,3}}(?:{mark}\d{{3}})+(?:{point}\d*)?$").fill_null(False)
+            points = text.str.replace_all(self.thousands, "", literal=True).zip_with(grouped, text)
+        if self.decimal == ",":
+            # A point, as it groups thousands, is then no part of a number.
+            points = points.str.replace(".", "x", literal=True).str.replace(",", ".", literal=True)
+        numbers = points.cast(pl.Float64, strict=False)
+        if (wrong := numbers.is_null() & (text != "").fill_null(False)).any():
+            self.refuse(wrong, column, f"a number; {remedy(text[first_row(wrong)], column)}")
+        return numbers.fill_nan(None)
+
 
 def first_row(rows: pl.Series) -> int:
     """The number of the first row that is true, of which there is one."""
@@ -94,11 +115,9 @@ def content_of_file(path: Path) -> bytes:
     try:
         data = file_bytes(path)
         return gzip.decompress(data) if path.name.endswith(".gz") else data
-    except OSError as error:
-        reason = error.strerror or f"not valid gzip data: {error}"
+    except (OSError, EOFError, zlib.error) as error:
+        reason = getattr(error, "strerror", None) or f"its gzip data are damaged or end too early: {error}"
         raise UnusableInput(f"{path}: cannot be read ({reason}); check the file and its permissions") from error
-    except (EOFError, zlib.error) as error:
-        raise UnusableInput(f"{path}: the gzip data are damaged or end too early ({error}); copy it again") from error
 
 
 def read_parquet(path: Path) -> pl.DataFrame:
@@ -128,9 +147,8 @@ def _csv(path: Path) -> TableFile:
     names = [name.strip() for name in next(csv.reader([head]))]
     if len(names) == 1 and (head.startswith("#") or any(mark in head for mark in ";\t")):
         raise UnusableInput(f"{path}: line 1 is {head[:60]!r}, expected names separated by commas; export it again")
-    if len(set(names)) < len(names):
-        twice = min(name for name in names if names.count(name) > 1)
-        raise UnusableInput(f"{path}: column {twice!r} is duplicated in line 1, expected once; remove one")
+    if twice := [name for k, name in enumerate(names) if name in names[:k]]:
+        raise UnusableInput(f"{path}: column {twice[0]!r} is duplicated in line 1, expected once; remove one")
     rows = lines[1:]
     unquoted = rows["text"].str.replace_all('"[^"]*"', "")
     cells = unquoted.str.count_matches(",", literal=True) + 1
@@ -138,10 +156,8 @@ def _csv(path: Path) -> TableFile:
     if wrong.any():
         row = first_row(wrong)
         found = "a quote that is not closed" if '"' in unquoted[row] else f"{cells[row]} cells"
-        raise UnusableInput(
-            f"{path}: row {row + 1} (line {rows['line'][row]}) has {found}, expected {len(names)} cells as in the "
-            "header; look for a truncated file or decimal commas"
-        )
+        found = f"row {row + 1} (line {rows['line'][row]}) has {found}, expected {len(names)} cells as in the header"
+        raise UnusableInput(f"{path}: {found}; look for a truncated file or decimal commas")
     schema = dict.fromkeys(names, pl.String)
     body = "\n".join(rows["text"]).encode()
     frame = pl.read_csv(body, has_header=False, schema=schema) if rows.height else pl.DataFrame(schema=schema)
@@ -158,11 +174,9 @@ def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl
     columns = [times, *(_ids(file, column) for column in expected.ids)]
     columns += [_numbers(file, column, _LARGEST) for column in present]
     for column in expected.quality:
-        try:
+        with suppress(UnusableInput):  # it says something else
             columns.append(_numbers(file, column, _LARGEST))
             ignored.remove(column)
-        except UnusableInput:
-            pass  # it says something else
     frame, notices = pl.DataFrame(columns), list[str]()
     check_stds(file, frame, [column for column in expected.optional if column not in QUATERNION])
     if "qw" in frame.columns:
@@ -223,17 +237,7 @@ def _ids(file: TableFile, column: str) -> pl.Series:
 
 
 def _numbers(file: TableFile, column: str, largest: float) -> pl.Series:
-    """The column as Float64, null where empty or NaN."""
-    cells = file.frame[column]
-    if cells.dtype == pl.String:
-        text = cells.str.strip_chars()
-        cells = text.cast(pl.Float64, strict=False)
-        wrong = cells.is_null() & (text != "").fill_null(False)
-        if wrong.any():
-            file.refuse(wrong, column, f"a number; {remedy(text[first_row(wrong)], column)}")
-    elif not (cells.dtype.is_numeric() or cells.dtype == pl.Null):
-        raise UnusableInput(f"{file.path}: column {column} has type {cells.dtype}, expected plain numbers in SI units")
-    numbers = cells.cast(pl.Float64).fill_nan(None)
+    numbers = file.numbers(column)
     file.refuse(numbers.abs() > largest, column, "a finite number in SI units; leave the cell empty if it is missing")
     return numbers
 
@@ -249,8 +253,7 @@ def check_stds(file: TableFile, frame: pl.DataFrame, columns: Iterable[str]) -> 
 def _check_sensors(file: TableFile, frame: pl.DataFrame, kind: Kind, rig: Rig) -> None:
     """Refuses anchors and stations that the rig lacks, differences of one anchor, and phases that fit no array."""
     known = kind.places(rig)
-    there = ", ".join(list(known)[:12]) + (" …" if len(known) > 12 else "")
-    expected = f"one of rig.toml: {there}; ids are text and must be spelt the same"
+    expected = f"one of rig.toml: {listed(known, 12)}; ids are text and must be spelt the same"
     if not known:
         survey = ", or find them by `trackwright survey`" if kind.name == "ranges" else ""
         expected = f"a position in rig.toml, which has none; add [{kind.noun}s]{survey}"
@@ -269,10 +272,8 @@ def _check_sensors(file: TableFile, frame: pl.DataFrame, kind: Kind, rig: Rig) -
     phases, most = kind.layout(frame.columns).values, max(counts.values())
     names = [kind.columns[0].name.format(n=n + 1) for n in range(most)]
     if {*phases} != {*names}:
-        raise UnusableInput(
-            f"{file.path}: {len(phases)} phase columns, expected {names[0]} … {names[-1]}, one for each antenna of the "
-            "largest station in rig.toml; leave the cell of an antenna without a phase empty"
-        )
+        expected = f"expected {names[0]} … {names[-1]}, one for each antenna of the largest station in rig.toml"
+        raise UnusableInput(f"{file.path}: {len(phases)} phase columns, {expected}; leave cells without a phase empty")
     for number, column in enumerate(names):
         fewer = pl.Series([name for name, count in counts.items() if count <= number], dtype=pl.String)
         beyond = frame[kind.noun].is_in(fewer.implode()) & frame[column].is_not_null()
@@ -285,19 +286,17 @@ def _refuse_restart(file: TableFile, frame: pl.DataFrame, ids: tuple[str, ...]) 
     for part in rows.partition_by(ids, maintain_order=True):
         t = part["t_s"].to_numpy()
         if (at := restarted_at(t)) is not None:
-            raise UnusableInput(
-                f"{file.location(part['row'][at], 't_s')}: {t[at]:.3f} after {t[:at].max():.3f} of the same "
-                f"{' and '.join(reversed(ids))}: the clock went back; expected times that increase; make the rows "
-                "before and after it two recordings"
-            )
+            found = f"{t[at]:.3f} after {t[:at].max():.3f} of the same {' and '.join(ids[::-1])}: the clock went back"
+            fix = "expected times that increase; make the rows before and after it two recordings"
+            raise UnusableInput(f"{file.location(part['row'][at], 't_s')}: {found}; {fix}")
 
 
 def unwrapped_times(t: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Times (n,), s, of a counter that wrapped, each part after the one before, and a notice that says so."""
-    steps = np.diff(t)
+    steps, usual = np.diff(t), np.median(np.abs(np.diff(t, prepend=t[0])))
     for period, words in WRAPS.items():
-        # Messages may be missing at the wrap.
-        back = np.abs(steps + period) < max(1e-3 * period, 5.0 * float(np.median(np.abs(steps)) if len(steps) else 0.0))
+        # Messages may be missing at the wrap; readings as rare as the period say nothing of one.
+        back = np.abs(steps + period) < np.clip(5.0 * usual, 1e-3 * period, 0.25 * period)
         if back.any():
             turns = back.astype(int) - (np.abs(steps - period) < 1e-3 * period)
             times = np.concatenate([t[:1], t[1:] + period * np.cumsum(turns)])

@@ -55,6 +55,7 @@ def _column(*numbers):
         ("t,d1,d2\r0,1.5,2.5\r\n0.1,1.6,1234.5".encode("utf-16"), {}, WIDE, ""),
         ("t,d1,d2\n0,1.5,2.5\n0.1,1.6,1234.5".encode("utf-16-le"), {"encoding": "utf-16-le"}, WIDE, ""),
         ("t;Länge;d2\n0;1.5;2.5\n0.1;1.6;1234.5\n".encode("cp1252"), {"encoding": "cp1252"}, ("t_s=t", "range_m[A1]=Länge", WIDE[2]), ""),
+        ("t,d1,d2,ok\n0,1.5,2.5,1.0\n0,9,9,\n0.1,1.6,1234.5,1.00\n0,9,9,2\n", {"where": {"ok": [1]}}, WIDE, "2 rows left out"),
         ("t\td1\td2\n0\t1500\t2500\n0.1\t1600\t1234500\n", {}, ("t_s=t", "range_m[A1]=d1 in mm", "range_m[A2]=d2*0.001"), ""),
     ],
 )  # fmt: skip
@@ -73,7 +74,8 @@ def test_a_table_in_text_is_read_as_it_was_written_and_a_line_says_what_was_left
         ('0 {"links": [{"A": "A1", "R": "1.5"}, {"A": "A2", "R": "2.5"}]}\n{"state": "lost"}\n'
          '0.1 -> {"links": [{"A": "A1", "R": 1.6}, {"A": "A2", "R": 1234.5}], "battery": [3, 4, 5]}\n',
          ("t_s=time", "anchor=links[].A", "range_m=links[].R"), ""),
-        ('{"t":0,"UWB":{"A1":1.5,"A2":2.5}}\n{"t":0.1,"UWB":{"A1":1.6,"A2":1234.5}}\n', ("t_s=t", "range_m[A1]=UWB.A1", "range_m[A2]=UWB.A2"), ""),
+        ('[\n{"t":0,"UWB":{"A1":1.5,"A2":2.5}},\n{"t":0.1,"UWB":{"A1":1.6,"A2":1234.5}}\n', ("t_s=t", "range_m[A1]=UWB.A1", "range_m[A2]=UWB.A2"), ": 1"),
+        ('{"log": [{\n"A1":1.5,"A2":2.5,"t":0},\n{"A1":1.6,"A2":1234.5,"t":0.1}]}', ("t_s=log[].t", "range_m[A1]=log[].A1", "range_m[A2]=log[].A2"), ""),
         ('[{"A1":1.5,"A2":2.5},{"A1":1.6,"A2":1234.5}]', ("t_s=line*0.1", "range_m[A1]=A1", "range_m[A2]=A2"), ""),
         ('{"A1":1.5,"A2":2.5}\n{"A\nboot 3\n{"A1":1.6,"A2":1234.5}', ("t_s=line*0.1", "range_m[A1]=A1", "range_m[A2]=A2"),
          "2 lines without values left out: 2, 3"),
@@ -92,7 +94,7 @@ def test_json_lines_of_kits_are_rows_for_each_element_or_key(tmp_path, text, col
         ("secs+nsecs*1e-9", "secs,nsecs", ["1777904000,0", "1777904000,500000000"], [NOON, NOON + 0.5]),
         ("date+time in dd.mm.yyyy", "date,time", ["04.05.2026,14:13:20", "04.05.2026,14:13:20.5"], [NOON, NOON + 0.5]),
         ("when in dd-mmm-yyyy", "when,x", ["04-May-2026 14:13:20,0", "04-may-2026 14:13:20.5,0"], [NOON, NOON + 0.5]),
-        ("when in hh:mm:ss", "when,x", ["23:59:59.5,0", "00:00:00.25,0"], [86399.5, 86400.25]),
+        ("when in hh:mm:ss", "when,x", ["23:59:59.5,0", "00:00:00.25,0", "23:59:59.75,0"], [86399.5, 86400.25, 86399.75]),
         ("when in matlab", "when,x", ["740106.5,0", "740106.75,0"], [20577.5 * 86400, 20577.75 * 86400]),
         ("day+part in excel", "day,part", ["46146,0.5", "46146,0.75"], [20577.5 * 86400, 20577.75 * 86400]),
         ("a+b", "a+b,a", ["1,5", "2,5"], [1.0, 2.0]),
@@ -116,9 +118,10 @@ def test_a_column_for_each_anchor_or_pair_becomes_a_row_for_each(tmp_path):
     tables, notices = _read(path, columns)
     assert tables["ranges"] == [(0.1, "T", "A1", 1.0, -70), (0.1, "T", "A2", 2.0, -70), (0.2, "T", "A2", 2.1, -71)]
     assert notices == "ranges: 1 row without a value left out ranges: columns not used: note"
-    path.write_text("t_s,d21,d71\n0.1,1.0,2.0\n0.2,,2.5\n")
-    tables, _ = _read(path, ["range_difference_m[A2,A1]=d21", "range_difference_m[7, A1]=d71"], "tdoa")
-    assert tables["tdoa"] == [(0.1, "T", "A2", "A1", 1.0), (0.1, "T", "7", "A1", 2.0), (0.2, "T", "7", "A1", 2.5)]
+    path.write_text("t_s,d21,d71,s\n0.1,1.0,2.0,0.3\n0.2,,2.5,\n")
+    columns = ["range_difference_m[A2,A1]=d21", "range_difference_m[7, A1]=d71", "range_difference_std_m[7, A1]=s"]
+    rows = [(t, *row) for t, _, *row in _read(path, columns, "tdoa")[0]["tdoa"]]
+    assert rows == [(0.1, "A2", "A1", 1.0, None), (0.1, "7", "A1", 2.0, 0.3), (0.2, "7", "A1", 2.5, None)]
 
 
 # Output of the DWM1001's shell, commands les, lec and lep, as public code quotes it.
@@ -182,6 +185,13 @@ def _when(unit):
          r'the column tag has T2, which --tag T would overwrite; leave it out.*where = { tag = \["T"\] }'),
         ("log.csv", CSV.replace("1,T,", "1,T2,"), {"columns": ["tag='X9'", "range_m=distance_mm"], "tag": None}, "has T, T2, which"),
         ("log.csv", DATES.format(US, US), _when("iso"), "no order is guessed: name it, as 't_s=t in mm/dd/yyyy' or 't_s=t in dd/mm/yyyy'"),
+        ("log.csv", DATES.format(*["04.05.26 14:13:20"] * 2), _when("dd.mm.yyyy"), "write years in full, from 1900 on, hours of 24"),
+        ("log.csv", DATES.format("0001-01-01T00:00:00Z", ZONE), _when("iso"), "write years in full, from 1900 on"),
+        ("log.csv", DATES.format("2:13:20 PM", "14:13:21"), _when("hh:mm:ss"), "write years in full, from 1900 on, hours of 24"),
+        ("log.csv", "t,d in mm\n0,2710\n", {"columns": [WIDE[0], "range_m=d in mm"]}, "expected `d in mm` in mm, or `d in mm` if"),
+        ("log.csv", DATES.format(0, 1), {"columns": [WIDE[0], "range_m[A1]=d1+50mm"]}, "range_m=d1.50mm: cannot be read"),
+        ("log.csv", CSV, {"columns": ["anchor=5", "range_m=distance_mm"]}, "anchor=5 .*expected text .*or 'TEXT' for every row"),
+        ("log.csv", CSV, {"columns": ["anchor=id", "range_m=distance_mm"], "where": {"word": [2]}}, "where word = 2 fits no row; found 1, oops"),
         ("log.csv", DATES.format(NO_ZONE, ZONE), _when("iso"), r"line 3\), .*a time zone in all rows or none"),
         ("log.csv", SECONDS, {"table": "truth", "columns": ["t_s=s", "x_m=x", "y_m=y", "z_m=z"]},
          r"column s: 40 poses of tag T, 5 times: the stamps have lost their digits.*t_s=secs\+nsecs\*1e-9"),
@@ -223,3 +233,10 @@ def test_frames_become_a_recording(make):
     recording = import_frames({"ranges": frame}, RIG, columns, tag="T1", name="monday")
     assert (recording.name, recording.path) == ("monday", None)
     assert recording.tables["ranges"].rows() == [(0.0, "T1", "A1", 1.0), (0.1, "T1", "A2", 2.0), (0.2, "T1", "A1", 1.5)]
+
+
+def test_frames_with_times_in_a_unit_or_a_name_twice_are_refused():
+    times = pd.DataFrame({"when": pd.to_datetime([0, 1], unit="s"), "anchor": "A1", "range_m": 1.0})
+    for frame, words in ((times, "holds times, read as s"), (times[["when", "when"]], "found 'when, when'; .* once")):
+        with pytest.raises(UnusableInput, match=words):
+            import_frames({"ranges": frame}, RIG, {"ranges": ["t_s=when in ms"]}, tag="T1")

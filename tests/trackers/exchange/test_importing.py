@@ -29,6 +29,10 @@ def there(tmp_path, monkeypatch):
     rows = [f"{k * 100},{anchor},{rng.integers(2000, 5000)}" for k in range(20) for anchor in ("A1", "A2", "0x0F")]
     (tmp_path / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
     (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "units.csv").write_text("anchor,x,y,z\n,mm,mm,mm\nA1,0,0,2500\n")
+    (tmp_path / "twice.csv").write_text("anchor,x,x_mm,y,z\nA1,0,0,0,2\n")
+    twice = "".join(f"{t},1,2\n" for t in (*range(20), *np.arange(0.5, 20)))
+    (tmp_path / "wide.csv").write_text(f"t,d1,d2\n{twice}")
     lines = "".join(f"{0.1 * k} {1 + 0.01 * k} 2 0.5 0 0 0 1\n" for k in range(-5, 30))
     (tmp_path / "mocap.tum").write_text(lines)
     monkeypatch.chdir(tmp_path)
@@ -60,6 +64,9 @@ def test_a_csv_log_and_a_trajectory_become_one_recording(there):
         ("log.csv", ("--mapping", "dwm1001", "--skip", "2"), ("--skip: a file of --mapping has tables",)),
         ("missing.csv", CSV, ("missing.csv", "cannot be read")),
         ("mocap.tum", ("--table", "truth"), ("truth needs tag", "give --tag ID")),
+        ("log.csv", (*CSV, "--rig", "units.csv"), ("line 2 has units, left out: x mm, y mm, z mm; expected them in",)),
+        ("log.csv", (*CSV, "--rig", "twice.csv"), ("'x', 'x_mm', 'y', 'z'; expected anchor, x, y, z",)),
+        ("wide.csv", (*CSV[:2], "--columns", *WIDE, *CSV[-2:], "--rig", "rig.toml"), ("row 21", "the clock went back")),
         ("rig.toml", ("--table", "truth", "--tag", "T"), ("rig.toml: line 3 has 1 cell",)),
     ],
 )
@@ -71,10 +78,12 @@ def test_what_is_not_understood_is_refused_and_nothing_is_written(there, source,
 
 def test_a_refused_value_is_named_by_line_and_column_of_the_users_file_in_any_part(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "anchors.csv").write_text("id;X_mm;Y_mm;Z_mm\nA1;0;0;2500\nA2;10000;0;400\n")
+    (tmp_path / "anchors.csv").write_text("id;X_mm;Y_mm;Z_mm\n1.0;0;0;2500\n2.0;10000;0;400\n")
     (tmp_path / "log.csv").write_text("# x\nt,d1,d2,s\n0,1.5,2.5,1\n0.1,,9,0\n")
-    columns = ("--columns", *WIDE, "range_std_m=s", "--tag", "T", "--rig", "anchors.csv", "--out", "hall")
-    refused = trackwright("import", "log.csv", "--table", "ranges", *columns)
+    columns = ("--columns", WIDE[0], "range_m[1]=d1", "range_m[2]=d2", "range_std_m=s", "--tag", "T", "--out", "hall")
+    # The line of its header and the separator are the log's alone.
+    how = ("--header", "2", "--separator", ",", "--rig", "anchors.csv")
+    refused = trackwright("import", "log.csv", "--table", "ranges", *columns, *how)
     assert_refused_last(refused, "log.csv: row 2 (line 4), column s: 0, expected a standard deviation above zero")
     assert not (tmp_path / "hall").exists()
 
