@@ -118,10 +118,9 @@ def rows_of(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore)
     if "tag" not in table.columns and not isinstance(estimates, pl.DataFrame):
         names = [*getattr(estimates, "names", ())]
         if len({*names}) < len(names) and names != [recording.name for recording in several]:
-            raise UnusableInput(
-                f"evaluate: recordings of the run share a name ({', '.join(names)}) and have only their places; "
-                "expected the same in the same order; or give each a `name` where it is made"
-            )
+            found = f"recordings of the run share a name ({', '.join(names)}) and have only their places"
+            fix = "expected the same in the same order; or give each a `name` where it is made"
+            raise UnusableInput(f"evaluate: {found}; {fix}")
         table = table.with_columns(tag=pl.lit(""))
     if not truths_of(several):
         names = [str(getattr(recording, "path", None) or recording.name) for recording in several]

@@ -122,7 +122,7 @@ FORMATS = {"csv": (*SUFFIXES, ".tsv"), "json": (".jsonl", ".ndjson", ".json"), "
 
 def format_of(path: Path) -> str:
     """The name of a file's format, by its ending; of others a table in text."""
-    named = (name for name, endings in FORMATS.items() if path.name.lower().endswith(endings))
+    named = (name for name, endings in FORMATS.items() if path.name.lower().removesuffix(".gz").endswith(endings))
     return "ros" if path.is_dir() else next(named, "csv")
 
 

@@ -211,6 +211,8 @@ def read_rows(path: Path, form: Reading, is_json: bool = False) -> tuple[TableFi
     """The columns of a text, or of Parquet, and notices; raises UnusableInput with the line."""
     if path.name.lower().endswith(".parquet"):
         return read_table_file(path), []
+    if form.thousands == form.decimal:
+        raise UnusableInput(f"--thousands and --decimal: both are {form.decimal!r}; expected two marks; give the other")
     text = _text(path, form)
     of_lines = is_json or form.lines is not None
     frame, lines, notices = _of_lines(path, text, form.lines) if of_lines else _of_table(path, text, form)

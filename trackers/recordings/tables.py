@@ -104,7 +104,7 @@ def remedy(text: str, column: str) -> str:
 
 def read_table_file(path: Path) -> TableFile:
     """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file."""
-    file = TableFile(path, read_parquet(path)) if path.name.endswith(".parquet") else _csv(path)
+    file = TableFile(path, read_parquet(path)) if path.name.lower().endswith(".parquet") else _csv(path)
     if file.frame.height == 0:
         raise UnusableInput(f"{path}: the table has no rows, expected at least one; remove the file if there are none")
     return file
@@ -114,7 +114,7 @@ def content_of_file(path: Path) -> bytes:
     """The bytes of a file, unpacked where its name ends with .gz; raises UnusableInput."""
     try:
         data = file_bytes(path)
-        return gzip.decompress(data) if path.name.endswith(".gz") else data
+        return gzip.decompress(data) if path.name.lower().endswith(".gz") else data
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or f"its gzip data are damaged or end too early: {error}"
         raise UnusableInput(f"{path}: cannot be read ({reason}); check the file and its permissions") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -82,8 +83,8 @@ def test_a_table_in_text_is_read_as_it_was_written_and_a_line_says_what_was_left
     ],
 )  # fmt: skip
 def test_json_lines_of_kits_are_rows_for_each_element_or_key(tmp_path, text, columns, said):
-    (tmp_path / "tag.jsonl").write_text(text)
-    tables, notices = _read(tmp_path / "tag.jsonl", columns)
+    (tmp_path / "tag.jsonl.gz").write_bytes(gzip.compress(text.encode()))
+    tables, notices = _read(tmp_path / "tag.jsonl.gz", columns)
     assert sorted(tables["ranges"]) == ROWS
     assert said in notices
 
@@ -189,6 +190,7 @@ def _when(unit):
         ("log.csv", DATES.format("0001-01-01T00:00:00Z", ZONE), _when("iso"), "write years in full, from 1900 on"),
         ("log.csv", DATES.format("2:13:20 PM", "14:13:21"), _when("hh:mm:ss"), "write years in full, from 1900 on, hours of 24"),
         ("log.csv", "t,d in mm\n0,2710\n", {"columns": [WIDE[0], "range_m=d in mm"]}, "expected `d in mm` in mm, or `d in mm` if"),
+        ("log.csv", CSV, {"decimal": ",", "thousands": ","}, "--thousands and --decimal: both are ','; expected two marks"),
         ("log.csv", DATES.format(0, 1), {"columns": [WIDE[0], "range_m[A1]=d1+50mm"]}, "range_m=d1.50mm: cannot be read"),
         ("log.csv", CSV, {"columns": ["anchor=5", "range_m=distance_mm"]}, "anchor=5 .*expected text .*or 'TEXT' for every row"),
         ("log.csv", CSV, {"columns": ["anchor=id", "range_m=distance_mm"], "where": {"word": [2]}}, "where word = 2 fits no row; found 1, oops"),
