@@ -237,7 +237,7 @@ def _text(path: Path, form: Reading) -> str:
     except LookupError as error:
         raise UnusableInput(f"{path}: cannot be read ({error}); expected --encoding cp1252, for example") from error
     if "\0" in text and not form.lines:
-        raise UnusableInput(f"{path}: holds binary data, expected text; name its encoding, as --encoding utf-16-le")
+        raise UnusableInput(f"{path}: holds binary data; expected text: export it as CSV, or give --encoding utf-16-le")
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
 
 

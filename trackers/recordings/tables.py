@@ -180,8 +180,8 @@ def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl
     frame, notices = pl.DataFrame(columns), list[str]()
     check_stds(file, frame, [column for column in expected.optional if column not in QUATERNION])
     if "qw" in frame.columns:
-        zero = frame.select(pl.sum_horizontal(pl.col(QUATERNION).abs(), ignore_nulls=False) == 0).to_series()
-        file.refuse(zero, "qw", "a unit quaternion, not zero; leave its four cells empty if the attitude is unknown")
+        square = frame.select(pl.sum_horizontal(pl.col(QUATERNION).pow(2), ignore_nulls=False)).to_series()
+        file.refuse((square - 1).abs() > 0.1, "qw", "qw … qz of length 1; leave those of an unknown attitude empty")
     if placed:
         _check_sensors(file, frame, kind, rig)
     for column, unit in ((column.name, UNITS[column.unit]) for column in kind.columns if column.positive):
