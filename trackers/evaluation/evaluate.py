@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 Metrics = dict[str, Any]  # by name; in lists by recording and by track also `recording`, `tag` and `station`
 
 LEAST_SAMPLES, LOST = 8.0, 0.1
-"""Effective samples below which a recording is too short for a verdict; the share of rows that are lost or have no
-covariance beyond which covariances are not judged."""
+"""Fewest effective samples for a verdict; largest share of rows that may be lost, or without a covariance, for one."""
 
 MOST_ROWS = 12  # rows of the table of an evaluation that a terminal shows
 

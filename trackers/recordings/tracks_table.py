@@ -15,8 +15,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder, is_part, rea
 from trackwright.trackers.recordings.rig_file import RIG_FILE
 from trackwright.trackers.recordings.tables import read_parquet
 
-TRACKS, EVALUATION, SOURCES = "tracks.parquet", "evaluation.json", "recordings.txt"
-"""Files in the output folder of `trackwright track`: estimates, error metrics, a path of a recording per line."""
+TRACKS, EVALUATION, SOURCES = "tracks.parquet", "evaluation.json", "recordings.txt"  # estimates, metrics, paths
 
 RECORDINGS, RESULTS = "recordings", "results.csv"  # of an archive: its parts, its table
 HEADING = "heading_rad"  # the column with the heading of a body, from x towards y
