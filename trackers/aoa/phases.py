@@ -277,7 +277,7 @@ def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
     return result
 
 
-def circular_mean(angles: Sequence[Scalar], seen: Sequence[Scalar], count: Scalar) -> Scalar:
+def circular_mean(angles: Sequence[Scalar], seen: Vector | Sequence[Scalar], count: Scalar) -> Scalar:
     """The direction of Σ exp(iθ) over the angles seen, rad, in (−π, π], to 1e-5 rad.
 
     It only decides which differences wrap, so this accuracy suffices. `count`: the number seen, at least 1.
