@@ -8,7 +8,6 @@ from __future__ import annotations
 import fnmatch
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from functools import cache, partial
 from threading import Lock
 from typing import Any
@@ -31,8 +30,7 @@ from trackwright.trackers.evaluation.bounds import posterior_bound
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectories, rounded
 
-BOUNDED = 256
-"""Largest number of trajectories over which the information of a Cramér–Rao bound is averaged."""
+BOUNDED = 256  # trajectories at most over which the information of a Cramér–Rao bound is averaged
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
@@ -78,15 +76,17 @@ _building = Lock()
 
 def _program_of(study: Study, condition: Condition, name: str) -> ChunkProgram | None:
     """The program of a tracker in a condition, made at its first chunk; None where recordings are needed."""
+    if study.measures:
+        return None
     with _building:
         key = condition.index, name, bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
         if key not in study.programs:
             ids, batches = np.zeros(piece_of(study.chunk), int), partial(_batches, study, condition, name)
-            study.programs[key] = None
-            with suppress(UnfitError):
-                if not study.measures:
-                    of, every = _folder(study, condition, ids[:1]), study.trackers[name].every
-                    study.programs[key] = compiled(of, batches, every, part_of(study.seed, ids))
+            folder, part = _folder(study, condition, ids[:1]), part_of(study.seed, ids)
+            try:
+                study.programs[key] = compiled(folder, batches, study.trackers[name].every, part)
+            except UnfitError:
+                study.programs[key] = None
         return study.programs[key]
 
 

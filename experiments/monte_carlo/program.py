@@ -47,7 +47,6 @@ PIECE = 256
 TICKS = 2**30
 """Steps into which the time of a trajectory is divided: float32 has no more than 2²⁴."""
 
-
 Batches = Callable[[RecordingFolder], list[TrackerBatch]]
 
 

@@ -57,10 +57,8 @@ class Totals:
             elif what == "largest":
                 np.fmax.at(self.largest.setdefault(rest, np.full(self.blocks, np.nan)), blocks, values[:count])
             elif what == "cells":
-                cell, table = (
-                    np.cumsum(values, dtype=int),
-                    self.histograms.setdefault(rest, np.zeros((self.blocks, BINS))),
-                )
+                table = self.histograms.setdefault(rest, np.zeros((self.blocks, BINS)))
+                cell = np.cumsum(values, dtype=int)
                 track, at = np.divmod(cell[cell < count * BINS], BINS)
                 # To one axis numbers are added ten times as fast as to two.
                 np.add.at(table.ravel(), BINS * blocks[track] + at, arrays[f"counts {rest}"][: len(at)].astype(float))

@@ -55,6 +55,11 @@ def identity(study: Study) -> dict[str, Any]:
     return plain
 
 
+def digest_of(study: Study) -> str:
+    """The digest of a study's identity."""
+    return config_hash(identity(study))
+
+
 def _named(function: Callable[..., Any]) -> str:
     inner = getattr(function, "func", function)
     return f"{getattr(inner, '__module__', '')}.{getattr(inner, '__qualname__', type(inner).__name__)}"
@@ -93,7 +98,7 @@ class ChunkStore(Store[Part, bytes]):
 
     @cached_property
     def _digest(self) -> bytes:
-        return config_hash(identity(self.study)).encode()
+        return digest_of(self.study).encode()
 
     def path(self, part: Part) -> Path:
         """The file of a chunk."""
@@ -131,10 +136,8 @@ class ChunkStore(Store[Part, bytes]):
 
 
 def packed(trackers: Sequence[Mapping[str, np.ndarray]]) -> bytes:
-    """The content of a chunk's file, packed where it is computed: the caller stores the chunks of all workers.
-
-    Arrays of one shape and type are one, named after all: each costs more than its numbers.
-    """
+    """The content of a chunk's file, packed where it is computed: the caller stores the chunks of all workers."""
+    # Arrays of one shape and type are one, named after all: each by itself takes longer to read than its numbers.
     file, alike = io.BytesIO(), dict[tuple[Any, ...], dict[str, np.ndarray]]()
     for name, x in ((f"{k}/{name}", x) for k, of in enumerate(trackers) for name, x in of.items()):
         alike.setdefault((x.shape, x.dtype), {})[name] = x
@@ -164,7 +167,7 @@ def run_study(
         return store.results()
     if not study.declared_in:
         raise UnusableInput(f"study '{study.name}': built in memory; expected one loaded from a file, as workers do it")
-    declared = study.declared_in, study.runs, study.seed, config_hash(identity(study))
+    declared = study.declared_in, study.runs, study.seed, digest_of(study)
     run(parts, functools.partial(_declared_chunk, *declared), store, executor, each)
     return store.results()
 
@@ -176,7 +179,7 @@ def _declared(what: str, runs: int, seed: int, digest: str) -> Study:
     Raises UnusableInput where its `digest` is another one: changed in memory, or another file at this place.
     """
     study = load_study(what, runs, seed)
-    if config_hash(identity(study)) != digest:
+    if digest_of(study) != digest:
         fix = "expected the caller's files at the same places, and no change in memory; write the change to the file"
         raise UnusableInput(f"study '{study.name}': a worker has another declaration of {what}; {fix}")
     return study

@@ -35,8 +35,7 @@ REPEATED, AVERAGE_S = 0.5, 0.5
 MIN_RAYS, PATIENCE_S = 4, 1.0
 """Number of bearings for which a start waits, and for how long, s: two biased ones can meet outside the room."""
 
-IN_PLANE = 0.5
-"""Largest difference of height, m, between a flat array and a tag that counts as in the array's plane."""
+IN_PLANE = 0.5  # largest difference of height, m, between a flat array and a tag in its plane
 
 
 def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
@@ -174,6 +173,10 @@ def _beam(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return in_plane_beam_tracker(_station(trajectory), PHASES) if planar else beam_tracker(_station(trajectory), PHASES)
 
 
+def _calibrated(trajectory: Trajectory) -> bool:
+    return CALIBRATION.name in trajectory.recording.inputs
+
+
 def _map_of(folder: RecordingFolder) -> Mapping[str, np.ndarray]:
     return {} if folder.calibration is None else folder.calibration.bearing_map
 
@@ -194,14 +197,11 @@ def _without_map(folder: RecordingFolder, free_height: bool) -> list[str]:
 
 
 def _bearings(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    if planar and (by_place := _map_of(folder := trajectory.folder)):
-        names = [*folder.rig.stations]
+    folder = trajectory.folder
+    names, by_place = [*folder.rig.stations], _map_of(folder)
+    if planar and by_place:
         return mapped_bearing_tracker(len(names), floor_grid(by_place, names, folder.origin))
-    return bearing_tracker(
-        len(trajectory.folder.rig.stations),
-        planar,
-        **(CALIBRATED if CALIBRATION.name in trajectory.recording.inputs else {}),
-    )
+    return bearing_tracker(len(names), planar, **(CALIBRATED if _calibrated(trajectory) else {}))
 
 
 def _arrays(trajectory: Trajectory) -> dict[str, Station]:
@@ -254,7 +254,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         trajectories=bearing_trajectories,
         build=_bearings,
         lacks=stations_of("bearings", 1),
-        geometry=lambda of: (len(of.folder.rig.stations), CALIBRATION.name in of.recording.inputs, _map_key(of.folder)),
+        geometry=lambda of: (len(of.folder.rig.stations), _calibrated(of), _map_key(of.folder)),
         notices=_without_map,
         every_row=(BEARINGS,),
     ),

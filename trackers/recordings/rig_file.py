@@ -123,7 +123,7 @@ def read_rig(path: Path) -> tuple[Rig, tuple[str, ...]]:
     """The rig in a `rig.toml`, and a notice for each unknown key; raises UnusableInput."""
     if not os.path.lexists(path):
         raise UnusableInput(
-            f"{path}: missing, expected the geometry, `format = {FORMAT}`; add it, or give another folder"
+            f"{path}: missing, expected `format = {FORMAT}`, a name, the geometry; add it, or give another folder"
         )
     file = read_model(path, _RigFile, f"the geometry of a recording, format = {FORMAT}", "correct it", FORMAT)
     tables: dict[str, _Table | None] = {"the top level": file, "[path]": file.path, "[floor]": file.floor}

@@ -222,7 +222,7 @@ def check_times(tables: Tables, base: bool = True) -> Results:
     if unit:
         yield CheckResult("error", "t_s", f"starts at {first:.0f}: looks like {unit} since 1970, expected seconds")
     elif steps and min(steps) >= 5 and last - first > 1000:
-        unit = "milliseconds" if min(steps) < 1e4 else "microseconds" if min(steps) < 1e7 else "nanoseconds"
+        unit = next((unit for least, unit in units if min(steps) >= 1e-10 * least), "milliseconds")
         message = f"rows {min(steps):.4g} s apart over {last - first:.6g} s: looks like {unit}, expected seconds"
         yield CheckResult("warning", "t_s", message)
     elif base:
