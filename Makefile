@@ -6,6 +6,8 @@ PEERS := .venv-peers/bin
 GPU := .venv-gpu/bin
 DOCS := .venv-docs/bin
 # Modules are compiled when they are first imported: most never are, and compiling all takes as long as unpacking them.
+# Where an environment forbids to write what was compiled, each process would compile them again: 3 s of a `track`.
+export PYTHONDONTWRITEBYTECODE =
 INSTALL := python -m pip install --quiet --disable-pip-version-check --no-compile
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
