@@ -26,8 +26,8 @@ def check(*recordings: Recording, tracker: Name | None = None) -> int:
         recordings: recording folders (rig.toml and tables), or folders of these.
         tracker: one of your own, FILE.py:NAME, whose file adds a kind of measurement.
     """
+    from trackwright.experiments.text.tables import checks_text
     from trackwright.trackers.recordings.checks.all_checks import check as check_recording
-    from trackwright.trackers.recordings.checks.all_checks import format_results
     from trackwright.trackers.recordings.folder import read_recording, recordings_under
 
     run_file_of(tracker)
@@ -35,7 +35,7 @@ def check(*recordings: Recording, tracker: Name | None = None) -> int:
     for path in (path for given in recordings for path in recordings_under(given)):
         results = check_recording(read_recording(path))
         failed |= any(result.level == "error" for result in results)
-        print(f"{printable(path)}\n{format_results(results)}")
+        print(f"{printable(path)}\n{checks_text(results)}")
     return int(failed)
 
 

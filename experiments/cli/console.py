@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trackwright.experiments.cli.options import Numbers, Readings
-from trackwright.experiments.text.terminal import notice
+from trackwright.experiments.text.terminal import Begin, notice
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.checks.all_checks import require_sound
 from trackwright.trackers.recordings.files import json_text, write_whole
@@ -69,10 +69,11 @@ def ready(
 
 
 def prepared(
-    paths: Sequence[Path], used: Readings, force: bool | None = None, refused: list[str] | None = None
+    paths: Sequence[Path], used: Readings, begin: Begin, force: bool | None = None, refused: list[str] | None = None
 ) -> list[RecordingFolder]:
-    """The recordings in several folders as `ready`; prints their notices. With `refused`, which gets a line for each
-    unusable recording, UnusableInput is raised only where none is left."""
+    """The recordings in several folders as `ready`; prints their notices, and begins to prepare programs for them. With
+    `refused`, which gets a line for each unusable recording, UnusableInput is raised only where none is left."""
+    begin("reading")
     calibration, folders = used.read_calibration(), list[RecordingFolder]()
     for recording in read_recordings(paths, refused):
         try:
@@ -86,6 +87,8 @@ def prepared(
         folders.append(folder)
     if refused and not folders:
         raise UnusableInput(f"{refused[0]} ({len(refused)} of {len(paths)} recordings are refused)")
+    begin("preparing")
+    keep_programs()
     return folders
 
 

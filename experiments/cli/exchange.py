@@ -79,12 +79,9 @@ def import_source(
     return 0
 
 
-Format = Literal["tum", "csv", "c"]
-
-
 def export(
-    run: Path, /, *, format: Format, out: Annotated[Path, Parameter(metavar="PATH")], tag: str | None = None,
-    tracker: Name | None = None, noise: File | None = None, force: bool = False,
+    run: Path, /, *, format: Literal["tum", "csv", "c"], out: Annotated[Path, Parameter(metavar="PATH")],
+    tag: str | None = None, tracker: Name | None = None, noise: File | None = None, force: bool = False,
 ) -> int:  # fmt: skip
     """Export tracks or truth as TUM or CSV; or a tracker as C.
 

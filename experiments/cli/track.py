@@ -32,18 +32,14 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
     Args:
         recordings: recording folders (rig.toml and tables), or folders of such folders.
     """
-    from trackwright.experiments.cli.console import keep_programs, prepared
+    from trackwright.experiments.cli.console import prepared
     from trackwright.experiments.text.terminal import stages
     from trackwright.trackers.recordings.folder import archive_of
 
     options.numbers.read()
     with stages("track") as begin:
-        begin("reading")
-        refused = list[str]()
-        archive = archive_of(recordings, options.cluster is not None)
-        folders = [] if archive else prepared(recordings, options.used, options.force, refused)
-        begin("preparing")
-        keep_programs()
+        refused, archive = list[str](), archive_of(recordings, options.cluster is not None)
+        folders = prepared([] if archive else recordings, options.used, begin, options.force, refused)
         # jax takes a second to import, which a refused recording need not wait for.
         if archive:
             from trackwright.experiments.cli.archive import track_archive
@@ -90,15 +86,12 @@ def tune(*recordings: Recording, options: TuneOptions) -> int:
     Args:
         recordings: recording folders to fit to, all at once.
     """
-    from trackwright.experiments.cli.console import keep_programs, prepared
+    from trackwright.experiments.cli.console import prepared
     from trackwright.experiments.text.terminal import stages
 
     options.numbers.read()
     with stages("tune") as begin:
-        begin("reading")
-        folders = prepared((*recordings, *options.held_out), options.used)
-        begin("preparing")
-        keep_programs()
+        folders = prepared((*recordings, *options.held_out), options.used, begin)
         # jax takes a second to import, which a refused recording need not wait for.
         from trackwright.experiments.cli.tuning import tune_folders
 
@@ -120,17 +113,14 @@ def sweep(
         over: a shell pattern of tunables, tied, and their values; once or twice. ':log' makes equal ratios.
         objective: rmse (horizontal; needs truth), nll, or another objective of `tune`.
     """
-    from trackwright.experiments.cli.console import keep_programs, prepared
+    from trackwright.experiments.cli.console import prepared
     from trackwright.experiments.text.terminal import stages
     from trackwright.tuning.tuned_file import parse_grids
 
     numbers.read()
     grids = parse_grids(over, "--over")
     with stages("sweep") as begin:
-        begin("reading")
-        folders = prepared(recordings, used)
-        begin("preparing")
-        keep_programs()
+        folders = prepared(recordings, used, begin)
         from trackwright.experiments.cli.tuning import sweep_folders
 
         sweep_folders(folders, grids, objective, numbers, out, begin)

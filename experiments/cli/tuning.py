@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +18,11 @@ from trackwright.experiments.pages.report import typed, write_page
 from trackwright.experiments.text.tables import sections_text
 from trackwright.experiments.text.terminal import Advance, Begin, notice
 from trackwright.trackers.core.errors import listed
-from trackwright.trackers.evaluation.evaluate import with_truth
 from trackwright.trackers.recordings.files import atomic_write, identity
 from trackwright.tuning import checkpoint
 from trackwright.tuning.data import FitData, fit_data
 from trackwright.tuning.fit_warnings import cautions, without_intervals
-from trackwright.tuning.fitting import Progress, fit, left_out_blocks, left_out_values
+from trackwright.tuning.fitting import Progress, fit
 from trackwright.tuning.optimisation import FitState
 from trackwright.tuning.parameters import (
     component_names,
@@ -49,19 +47,13 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
     data = fit_data(named.only_batch(folders), options.objective, held_out)
     result = _fit(data, options, begin)
     begin("leaving out recordings")
-    shown = held_out or training
-    before = pages.tracked(named, shown)
-    table, judged_by = left_out_estimates(result, data, named, shown, before)
-    about = "held-out recordings" if held_out else f"recording{'s' * (len(training) > 1)} tuned on{judged_by}"
-    why_not = "" if judged_by else "the fit cannot leave a recording or a block of time out"
-    why_not = "the fit was interrupted" if result.uncertainty is None else why_not
-    compared = pages.compare((before, with_truth(table, shown)), shown, data.dimensions, about, why_not)
+    compared = pages.compare_left_out(result, data, named, training, held_out)
     begin("report")
     objective = data.named + " + prior" * (options.prior != "flat" and data.objective.is_likelihood)
     intervals, issues, used, out = result.intervals, result.issues, options.used, options.out
     calibrated = None if used.calibration is None else identity(used.calibration)
-    content = compared.content() | tuned_content(named.name, objective, result, intervals, calibrated)
-    tw.write_tuned(out / "tuned.toml", content)
+    content = tuned_content(named.name, objective, result, intervals, calibrated)
+    tw.write_tuned(out / "tuned.toml", compared.content() | content)
     components, values = component_names(result.parameters), pages.traces_of(result)[0]
     trace = {objective: values.objective, "gradient_norm": [step.gradient_norm for step in result.trace]}
     trace |= dict(zip(components, values.values.T, strict=True))
@@ -72,16 +64,13 @@ def tune_folders(folders: Sequence[tw.RecordingFolder], count: int, options: Tun
     use += f" --calibration {used.calibration}" * (used.calibration is not None)
     use += "" if used.average is None else f" --average {used.average:g}"
     if options.figures != "none":
-        notes = [f"{result.n_excluded} of {len(data.training)} segments were excluded."] if result.n_excluded else []
-        if held_out:
-            notes.append("The held-out recordings were used to select the best point and to stop the fit.")
         page = pages.tuning_page(
-            result, data, objective, compared, intervals, issues, tracker=named.name, cautions=lines, notes=notes,
+            result, data, objective, compared, intervals, issues, tracker=named.name, cautions=lines,
             commands=(use, typed(sys.argv)),
         )  # fmt: skip
         write_page(out / "report.html", page)
-    paths = [str(folder.path) for folder in training]
-    write_manifest(out, tracker=named.name, recordings=paths, filter_runs=result.filter_runs)
+    trained = [str(folder.path) for folder in training]
+    write_manifest(out, tracker=named.name, recordings=trained, filter_runs=result.filter_runs)
     print(sections_text([pages.parameters_section(pages.tuned_parameters(result, intervals, issues))], 120), end="")
     print(f"{objective}: {result.start_value:.5g} -> {result.value:.5g}")
     for text in (*(issue.text for issue in issues), *lines):
@@ -105,8 +94,15 @@ def _fit(data: FitData, options: TuneOptions, begin: Begin) -> tw.FitResult:
     if data.unused:
         notice(f"notice: without truth, and not used: {listed(data.unused)}")
     tune = options.tune or tuned_by_default(data.tracker, data.objective.needs_truth)
-    bounds = checked_bounds(data, tune, options.freeze, options.bound)
-    notices(cautions(data.tracker, select_parameters(data.tracker, tune, options.freeze), data.objective))
+    option = " ".join(["--tune", *tune, *(["--freeze"] * bool(options.freeze)), *options.freeze])
+    try:
+        parameters = select_parameters(data.tracker, tune, options.freeze)
+        option = f"--bound {' '.join(options.bound)}"
+        bounds = parse_bounds(options.bound)
+        require_start_within(parameters, bounds)
+    except ValueError as error:
+        raise tw.UnusableInput(f"{option}: {error}") from error
+    notices(cautions(data.tracker, parameters, data.objective))
     steps, starts, advance = options.steps, options.starts, list[Advance]()
     begin("searching for starts" if starts > 1 else "first evaluation")
     out, depends = output_folder(options.out), {"options": settings(options, resume=False, figures="page")}
@@ -161,55 +157,3 @@ def sweep_folders(
     write_manifest(out, tracker=named.name, recordings=[str(folder.path) for folder in folders], best=swept.best)
     print(swept.text(objective, unit if objective == "rmse" else ""))
     print(f"{swept.filter_runs} trajectories filtered; wrote {out / 'sweep.csv'}, sweep.png and manifest.json")
-
-
-def checked_bounds(
-    data: FitData, tune: Sequence[str], freeze: Sequence[str], bound: Sequence[str]
-) -> dict[str, tuple[float, float]]:
-    """The bounds in texts, for the tunables that patterns select; raises UnusableInput where they do not fit."""
-    option = " ".join(["--tune", *tune, *(["--freeze"] * bool(freeze)), *freeze])
-    try:
-        parameters = select_parameters(data.tracker, tune, freeze)
-        option = f"--bound {' '.join(bound)}"
-        bounds = parse_bounds(bound)
-        require_start_within(parameters, bounds)
-    except ValueError as error:
-        raise tw.UnusableInput(f"{option}: {error}") from error
-    return bounds
-
-
-def left_out_estimates(
-    result: tw.FitResult, data: FitData, named: tw.NamedTracker, folders: Sequence[tw.RecordingFolder],
-    before: pl.DataFrame,
-) -> tuple[pl.DataFrame, str]:  # fmt: skip
-    """The estimates of recordings with values fitted without them, and how, in words; empty where the fit has seen
-    their truth, whose estimates have the fitted values.
-
-    `before`: their estimates before the fit, by whose rows blocks of time are cut: a fitted latency moves times.
-    """
-
-    def table(values: Mapping[str, np.ndarray]) -> pl.DataFrame:
-        by_name = {name: values[p.label] for p in result.parameters for name in p.names}
-        return named.with_values(by_name, "the fit").run(folders).table
-
-    parts, words = list[tuple[Mapping[str, np.ndarray], pl.Expr]](), ", whose truth the fit has not seen"
-    if data.held_out:
-        pass
-    # All are tracked with the values of each fold, by the one program that is compiled for them.
-    elif left_out := left_out_values(result):
-        words = ", each with values fitted to the others"
-        values_of = {folder.name: left_out.get(folder.name, result.values) for folder in folders}
-        for values in {id(values): values for values in values_of.values()}.values():
-            names = [name for name, other in values_of.items() if other is values]
-            parts.append((values, pl.col("recording").is_in(names)))
-    elif blocks := left_out_blocks(result, data):
-        words = f", each of {len(blocks)} blocks of time with values fitted without its truth"
-        starts = [-np.inf, *(start for start, _, _ in blocks[1:]), np.inf]
-        for (start, stop), (_, _, values) in zip(pairwise(starts), blocks, strict=True):
-            parts.append((values, pl.col("t_s").is_between(start, stop, "left")))
-    elif data.objective.needs_truth:
-        words = ""
-    if not parts:
-        return table(result.values), words
-    tables = [table(values).with_row_index("row").filter(before.select(own).to_series()) for values, own in parts]
-    return pl.concat(tables).sort("row").drop("row"), words

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
 from trackwright.tuning.data import FitData
 from trackwright.tuning.fit_warnings import Issue
-from trackwright.tuning.fitting import FitResult
+from trackwright.tuning.fitting import FitResult, left_out_blocks, left_out_values
 from trackwright.tuning.parameters import component_names
 from trackwright.tuning.sweeping import Sweep
 from trackwright.tuning.uncertainty import Interval
@@ -117,6 +118,59 @@ def tracked(tracker: NamedTracker, folders: Sequence[RecordingFolder]) -> pl.Dat
     return with_truth(tracker.run(folders).table, folders)
 
 
+def left_out_estimates(
+    result: FitResult, data: FitData, named: NamedTracker, folders: Sequence[RecordingFolder], before: pl.DataFrame
+) -> tuple[pl.DataFrame, str]:
+    """The estimates of recordings with values fitted without them, and how, in words; empty where the fit has seen
+    their truth, whose estimates have the fitted values.
+
+    `before`: their estimates before the fit, by whose rows blocks of time are cut: a fitted latency moves times.
+    """
+
+    def table(values: Mapping[str, np.ndarray]) -> pl.DataFrame:
+        by_name = {name: values[p.label] for p in result.parameters for name in p.names}
+        return named.with_values(by_name, "the fit").run(folders).table
+
+    parts, words = list[tuple[Mapping[str, np.ndarray], pl.Expr]](), ", whose truth the fit has not seen"
+    if data.held_out:
+        pass
+    # All are tracked with the values of each fold, by the one program that is compiled for them.
+    elif left_out := left_out_values(result):
+        words = ", each with values fitted to the others"
+        values_of = {folder.name: left_out.get(folder.name, result.values) for folder in folders}
+        for values in {id(values): values for values in values_of.values()}.values():
+            names = [name for name, other in values_of.items() if other is values]
+            parts.append((values, pl.col("recording").is_in(names)))
+    elif blocks := left_out_blocks(result, data):
+        words = f", each of {len(blocks)} blocks of time with values fitted without its truth"
+        starts = [-np.inf, *(start for start, _, _ in blocks[1:]), np.inf]
+        for (start, stop), (_, _, values) in zip(pairwise(starts), blocks, strict=True):
+            parts.append((values, pl.col("t_s").is_between(start, stop, "left")))
+    elif data.objective.needs_truth:
+        words = ""
+    if not parts:
+        return table(result.values), words
+    tables = [table(values).with_row_index("row").filter(before.select(own).to_series()) for values, own in parts]
+    return pl.concat(tables).sort("row").drop("row"), words
+
+
+def compare_left_out(
+    result: FitResult, data: FitData, named: NamedTracker, training: Sequence[RecordingFolder],
+    held_out: Sequence[RecordingFolder],
+) -> Compared:  # fmt: skip
+    """The held-out recordings before and after the fit, or those of the training, each with values fitted without it.
+
+    There is no verdict where the fit was interrupted, or can leave nothing out.
+    """
+    shown = held_out or training
+    before = tracked(named, shown)
+    table, judged_by = left_out_estimates(result, data, named, shown, before)
+    about = "held-out recordings" if held_out else f"recording{'s' * (len(training) > 1)} tuned on{judged_by}"
+    why_not = "" if judged_by else "the fit cannot leave a recording or a block of time out"
+    why_not = "the fit was interrupted" if result.uncertainty is None else why_not
+    return compare((before, with_truth(table, shown)), shown, data.dimensions, about, why_not)
+
+
 def compare(
     sides: Sequence[pl.DataFrame], folders: Sequence[RecordingFolder], dimensions: int, about: str, why_not: str = ""
 ) -> Compared:
@@ -192,14 +246,15 @@ def traces_of(result: FitResult) -> list[Trace]:
 
 def tuning_page(
     result: FitResult, data: FitData, objective: str, compared: Compared, intervals: Mapping[str, Interval],
-    issues: Sequence[Issue], *, tracker: str, cautions: Sequence[str], notes: Sequence[str],
-    commands: Sequence[str],
+    issues: Sequence[Issue], *, tracker: str, cautions: Sequence[str], commands: Sequence[str],
 ) -> str:  # fmt: skip
-    """The page of a fit. `cautions`: clauses of the fit on itself. `notes`: sentences on irregularities of the run."""
+    """The page of a fit. `cautions`: clauses of the fit on itself."""
     parameters = tuned_parameters(result, intervals, issues)
     word, sentence, warnings = advice(parameters, compared, [issue.text for issue in issues], cautions)
     summary = Markup('<b class="{}">{}</b> {}').format("better" if word == "Better." else "worse", word, sentence)
     training, held_out = (dict.fromkeys(t.folder.name for t in part) for part in (data.training, data.held_out))
+    notes = [f"{result.n_excluded} of {len(data.training)} segments were excluded."] * bool(result.n_excluded)
+    notes += ["The held-out recordings were used to select the best point and to stop the fit."] * bool(held_out)
     settings = {
         "Tracker": f"{tracker}: {spec_of(tracker).about}",
         "Objective": f"{objective}, {number(result.start_value)} → {number(result.value)}",

@@ -16,9 +16,10 @@ from rich import box
 from rich.console import Console, RenderableType
 from rich.table import Table
 
-from trackwright.trackers.core.errors import counted
+from trackwright.trackers.core.errors import counted, printable
 from trackwright.trackers.evaluation.evaluate import Evaluation, Metrics
 from trackwright.trackers.evaluation.metrics import ERROR_KINDS, METRICS, Metric
+from trackwright.trackers.recordings.checks.rules import LEVELS, CheckResult
 from trackwright.trackers.recordings.files import atomic_write, json_text
 
 MISSING = "–"
@@ -294,6 +295,15 @@ def cells(metrics: Metrics, columns: Sequence[Metric], unit: Unit) -> Iterator[s
 def title_of(column: Metric) -> str:
     """The heading of a column, in up to two lines."""
     return f"{column.short}\ns" if column.unit == "s" else column.short
+
+
+def checks_text(results: Sequence[CheckResult]) -> str:
+    """The results as aligned lines, the most severe first, and a last line with their counts."""
+    width = max((len(one.where) for one in results), default=0)
+    ordered = sorted(results, key=lambda one: LEVELS.index(one.level))
+    lines = [printable(f"{one.level:<7}  {one.where:<{width}}  {one.message}") for one in ordered]
+    errors, warnings, infos = (sum(one.level == level for one in results) for level in LEVELS)
+    return "\n".join([*lines, f"errors: {errors}, warnings: {warnings}, notes: {infos}"])
 
 
 def pose_errors_text(compared: Sequence[Any], align: str, width: int) -> str:

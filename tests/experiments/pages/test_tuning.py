@@ -88,7 +88,7 @@ def test_the_parameters_steps_and_page_of_a_fit_are_those_of_the_fit(tmp_path):
     traces = traces_of(result)
     assert len(traces) == len(result.starts)
     np.testing.assert_array_equal(traces[0].objective, [s.value for s in result.trace])
-    more = {"tracker": "fix-kf", "cautions": [], "notes": ["A note."], "commands": [NASTY]}
+    more = {"tracker": "fix-kf", "cautions": ["a note"], "commands": [NASTY]}
     page = tuning_page(result, data, "nll", _compared(1.0, 0.5, -0.9, -0.1), intervals, issues, **more)
     text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     words = number(shown[0].after), number(shown[1].high), "Worse.", "An issue.", "A note.", "a, b"

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput, listed, printable
+from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.recordings.checks import rules
 from trackwright.trackers.recordings.checks.readings import compared
-from trackwright.trackers.recordings.checks.rules import CheckResult, Level
+from trackwright.trackers.recordings.checks.rules import LEVELS, CheckResult
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, MANY_REPEATS
-
-LEVELS: tuple[Level, ...] = ("error", "warning", "info")
 
 
 def check(recording: RecordingFolder) -> list[CheckResult]:
@@ -80,12 +78,3 @@ def require_sound(recording: RecordingFolder, force: bool | None, calibrated: bo
         more = f" (and {len(errors) - 1} more: `trackwright check {recording.path}`)" if len(errors) > 1 else ""
         raise UnusableInput(f"{errors[0]}{more}{'' if force is None else '; --force takes it as it is'}")
     return [line for _, line in lines]
-
-
-def format_results(results: Sequence[CheckResult]) -> str:
-    """The results as aligned lines of plain text, the most severe first, and a last line with their counts."""
-    width = max((len(one.where) for one in results), default=0)
-    ordered = sorted(results, key=lambda one: LEVELS.index(one.level))
-    lines = [printable(f"{one.level:<7}  {one.where:<{width}}  {one.message}") for one in ordered]
-    errors, warnings, infos = (sum(one.level == level for one in results) for level in LEVELS)
-    return "\n".join([*lines, f"errors: {errors}, warnings: {warnings}, notes: {infos}"])

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import polars as pl
@@ -17,6 +17,7 @@ from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.kinds import KINDS, Kind, table_kinds
 
 Level = Literal["error", "warning", "info"]
+LEVELS: tuple[Level, ...] = get_args(Level)
 Tables = Mapping[str, pl.DataFrame]
 C, DT, T, X, SIZE, BOUND = pl.col, pl.col("dt"), pl.col("t_s"), pl.col("x"), pl.col("x").abs(), pl.col("bound")
 # A step that is a jump of the clock and no gap, a year, s; reach of indoor radio, m; by how much heights are off by a

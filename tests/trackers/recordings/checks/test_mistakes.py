@@ -23,7 +23,7 @@ from tests.trackers.recordings.checks.made import (
     with_rows,
 )
 from trackwright.trackers.core.model.rig import Tag
-from trackwright.trackers.recordings.checks.all_checks import check, format_results, quick_check
+from trackwright.trackers.recordings.checks.all_checks import check, quick_check
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 C, T, X, Y, Z = pl.col, *(pl.col(name) for name in ("t_s", "x_m", "y_m", "z_m"))
@@ -178,7 +178,7 @@ def test_a_mistake_is_named_and_no_other_error(world, name):
     made = replace(made, tables={k: table.sort("t_s", maintain_order=True) for k, table in made.tables.items()})
     results = check(made)
     said = [f"{one.level} {one.where}: {one.message}" for one in results]
-    assert any(one.startswith(level) and words in one for one in said), format_results(results)
+    assert any(one.startswith(level) and words in one for one in said), said
     if alone:
         found = [one.message for one in results if one.level == "error"]
         assert len(found) == (level == "error"), found
