@@ -77,6 +77,7 @@ def test_the_python_example_of_the_readme_runs_and_lowers_the_negative_log_likel
     assert len(names["table"]) == len(names["estimates"].to_polars())
 
 
+@pytest.mark.slow
 def test_the_page_for_those_who_come_from_filterpy_fits_their_matrices(tmp_path, monkeypatch):
     names = _run("docs/coming-from.md", tmp_path, monkeypatch)
     assert names["fitted"].value < names["fitted"].start_value
@@ -169,6 +170,7 @@ def test_a_kind_of_ones_own_is_read_checked_and_tracked(hall):
 OWN = ("--tracker", "bistatic.py:TRACKER")
 
 
+@pytest.mark.slow
 def test_a_kind_of_ones_own_is_checked_and_tracked_by_every_way_of_the_command_line(hall):
     _as_in_a_new_process()
     ignored = trackwright("check", "hall").out

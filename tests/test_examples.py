@@ -18,6 +18,7 @@ LARGEST = 60_000
 """Bytes of a picture of the gallery."""
 
 mpl.use("Agg")
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -50,7 +51,6 @@ def test_the_ellipse_of_a_tracked_recording_is_read_from_its_covariance(example,
     assert "plotly" in (tmp_path / "track_recording.html").read_text("utf-8").lower()
 
 
-@pytest.mark.slow
 def test_tuning_by_gradient_finds_the_noise_and_the_covariances_of_another_walk(example):
     left = example("tune_by_gradient")
     assert float(left["result"].values["sensors.ranges.sigma_r"]) == pytest.approx(0.25, rel=0.2)
@@ -58,14 +58,12 @@ def test_tuning_by_gradient_finds_the_noise_and_the_covariances_of_another_walk(
     assert abs(shares["fitted levels"] - 0.95) < abs(shares["default levels"] - 0.95)
 
 
-@pytest.mark.slow
 def test_the_study_tells_the_trackers_apart(example):
     left = example("monte_carlo_study", 24)
     assert left["ratio"].low > 1.2
     assert np.all(np.diff(left["middle"]) > 0)
 
 
-@pytest.mark.slow
 def test_the_survey_holds_the_anchors_in_its_intervals(example):
     survey, anchors = (example("survey_anchors")[name] for name in ("survey", "ANCHORS"))
     missed = np.abs(survey.positions - anchors) > 1.5 * survey.half_widths[:, :3] + 1e-9
@@ -73,7 +71,6 @@ def test_the_survey_holds_the_anchors_in_its_intervals(example):
     assert all(survey.verdict(name) == "determined" for name in survey.names)
 
 
-@pytest.mark.slow
 def test_the_calibration_finds_the_biases_and_helps_on_another_day(example):
     left = example("calibrate_another_day")
     for name, anchor in left["calibration"].anchors.items():
@@ -82,7 +79,6 @@ def test_the_calibration_finds_the_biases_and_helps_on_another_day(example):
     assert after < 0.7 * before
 
 
-@pytest.mark.slow
 def test_the_fit_of_an_own_tracker_finds_the_noise_of_its_sensors(example):
     left = example("own_sensor_and_tracker")
     values, errors = left["result"].values, left["result"].standard_errors
@@ -103,7 +99,6 @@ def test_the_planned_bound_is_that_of_cramer_and_rao_and_the_gradient_lowers_it_
     assert left["means"]["moved along the walls"] < 1.02 * left["over"](corners, left["places"]).mean()
 
 
-@pytest.mark.slow
 def test_fastening_points_are_told_apart_from_the_spacing_on_that_the_papers_name(example):
     found = example("worksteps", 8)["found"]
     for tracker in ("direct", "cascade"):
@@ -114,14 +109,12 @@ def test_fastening_points_are_told_apart_from_the_spacing_on_that_the_papers_nam
         assert found[tracker, "unlocked wrong"][0.2].value < 0.05
 
 
-@pytest.mark.slow
 def test_days_with_more_obstructions_have_larger_errors_and_innovations(example, tmp_path):
     left = example("recordings_to_pandas")
     assert left["summary"]["rmse_m"].corr(left["summary"]["nis_per_dof"], method="spearman") > 0.5
     assert (tmp_path / "days.csv").read_text("utf-8").count("\n") == 13
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "patterns"),
     [

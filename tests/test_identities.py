@@ -9,8 +9,8 @@ BITS = ("run", "padding", "later rows", "number and order", "hidden values", "cu
 NUMBERS = ("single and batch", "accumulate", "gradient")
 """Further programs for each case: in the default suite `tests/trackers/conformance` has them for its own trackers."""
 
-RESUMED = ("fix-kf", "particles", "median", "das")
-"""One of each kind: a Kalman filter, random numbers, a window, a tracker without memory."""
+RESUMED = ("fix-kf", "median", "das")
+"""One of each kind: a Kalman filter, a window, a tracker without memory."""
 
 
 def _slow(case, name):

@@ -51,6 +51,7 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_every_command_of_the_page_runs_on_the_files_that_it_describes(files):
     # The truth stands further down the page than the first command that reads it.
     commands = [shlex.split(line) for block in _blocks("sh") for line in block.splitlines()]

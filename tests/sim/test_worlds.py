@@ -72,7 +72,7 @@ def test_a_subset_of_ids_gives_the_same_trajectories(name):
     ("name", "tracker"),
     [
         ("line", "fix-kf"),
-        ("ranges", None),
+        pytest.param("ranges", None, marks=pytest.mark.slow),
         pytest.param("station", "direct", marks=pytest.mark.slow),
         pytest.param("tdoa", None, marks=pytest.mark.slow),
         pytest.param("fusion", None, marks=pytest.mark.slow),

@@ -147,7 +147,7 @@ def _shown(tracker, folder):
         pytest.param("mhk-stamped", {}, False, 1e-9, marks=pytest.mark.slow),
         # Six of 600 estimates are valid before the truth begins: the objective continues it there, `evaluate` does not.
         pytest.param("fix-kf", LATENCY, False, 0.02, marks=pytest.mark.slow),
-        ("fix-kf", LATENCY, True, 0.02),
+        pytest.param("fix-kf", LATENCY, True, 0.02, marks=pytest.mark.slow),
     ],
     ids=[
         "beam",

@@ -45,6 +45,7 @@ def _kalman_rmse(folder, sigma_a, sigma):
     return np.sqrt(sum(np.sum(np.square(e)) for e in errors) / ROWS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigma_a", "sigma"), [pytest.param(0.02, 0.3, marks=pytest.mark.slow), (2.0, 0.03)])
 def test_a_recording_tells_the_levels_of_white_noise_and_motion(sigma_a, sigma):
     folder = _walk(sigma_a, _white(sigma))
@@ -78,6 +79,7 @@ def test_levels_stay_where_errors_last():
     assert "errors that last look like motion" in own.line
 
 
+@pytest.mark.slow
 def test_numbers_that_were_set_stay():
     folder = _walk(0.02, _white(0.3))
     own = fitted(tw.build("fix-kf", folder).with_values({"motion.sigma_a": 0.5}), folder)

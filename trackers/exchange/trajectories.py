@@ -55,8 +55,8 @@ def poses_of(table: pl.DataFrame, name: str) -> Poses:
     if rows.is_empty():
         raise UnusableInput(f"{name}: no pose; expected rows with t_s, x_m, y_m and, where known, z_m, qw … qz")
     q = stacked(rows, QUATERNION)
-    if not q.any(axis=1).all():
-        raise UnusableInput(f"{name}: pose {int(np.argmin(q.any(axis=1))) + 1} has a zero quaternion; leave it out")
+    if (wrong := np.abs((q**2).sum(axis=1) - 1) > 0.1).any():
+        raise UnusableInput(f"{name}: pose {np.argmax(wrong) + 1} has no quaternion of length 1; leave it out")
     attitudes = Rotation.from_quat(q, scalar_first=True) if np.isfinite(q).all() else None
     return Poses(float_column(rows, "t_s"), stacked(rows, AXES), attitudes)
 

@@ -111,6 +111,7 @@ def walks(tmp_path_factory):
     return there, known, said
 
 
+@pytest.mark.slow
 def test_a_calibration_is_written_with_a_page_and_its_recordings_and_gaps_are_named(walks, tmp_path):
     there, known, said = walks
     path = there / "site" / "calibration.toml"

@@ -223,6 +223,7 @@ def test_ranges_that_a_tracker_cannot_use_are_refused_even_by_force(tmp_path, bu
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_errors_of_the_check_stop_whatever_is_computed_from_a_recording(tmp_path):
     for name, changed in (("feet", METRES / 0.3048), ("millimetres", 1000.0 * METRES)):
         _ranges(lambda t, changed=changed: t.with_columns(range_m=changed))(tmp_path / name)

@@ -88,6 +88,7 @@ def test_without_truth_tracks_are_written_but_not_evaluated(vehicles, tmp_path):
     assert _overall(tmp_path / "run", "--truth", read) == _overall(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [(), pytest.param(("--free-height",), marks=pytest.mark.slow)])
 def test_bearings_of_a_walk_are_tracked_at_the_known_height_or_estimate_it(tmp_path, options):
     folder = worlds.fusion(n=1, seed=8, rows=28, stations=4, sigma_angle=0.03, bias_angle=0.0, lost=0.0).folder()
@@ -104,6 +105,7 @@ def test_bearings_of_a_walk_are_tracked_at_the_known_height_or_estimate_it(tmp_p
     assert metrics["rmse_m"] < 0.3
 
 
+@pytest.mark.slow
 def test_a_part_of_a_recording_is_tracked_and_of_estimates_evaluated(room, tmp_path):
     part = ("--tag", "1", "--from", 1, "--to", 4)
     done = trackwright("track", room, *PLAIN, "--tracker", "uwb", *part, "--out", tmp_path / "part")
@@ -138,6 +140,7 @@ def test_a_value_set_is_that_of_a_noise_file_and_goes_before_it(room, tmp_path):
     assert not _tracks(tmp_path / "both").equals(_tracks(tmp_path / "set"))
 
 
+@pytest.mark.slow
 def test_smoothed_tracks_have_the_rows_columns_and_likelihoods_of_filtered_ones(beginnings, tmp_path):
     found = {}
     for name, options in {"filtered": (), "smoothed": ("--smooth",), "lagged": ("--lag", 0.5)}.items():
@@ -171,6 +174,7 @@ def test_runs_are_compared_in_one_table_with_paired_differences(tmp_path):
     assert (tmp_path / "all" / "comparison.html").read_text().count('<div class="chart">') == 2
 
 
+@pytest.mark.slow
 def test_recordings_that_cannot_be_read_or_lack_what_the_tracker_reads_cost_their_own_line(tmp_path):
     for name, kept in (("ranged", "ranges"), ("moved", "imu")):
         write_good(tmp_path / name)

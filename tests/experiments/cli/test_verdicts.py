@@ -10,6 +10,7 @@ from tests.experiments.cli.small_archive import random_walk
 from tests.in_process import assert_refused, trackwright
 from trackwright.tuning.tuned_file import read_tuned
 
+pytestmark = pytest.mark.slow
 FIT = ("--tracker", "fix-kf", "--tune", "sensors.fixes.sigma_horizontal", "--starts", 1)
 
 
@@ -27,7 +28,6 @@ def worse(unlike, tmp_path_factory):
     return out, trackwright("tune", *unlike, *FIT, "--prior", "flat", "--out", out)
 
 
-@pytest.mark.slow
 def test_values_with_which_a_left_out_recording_gets_worse_are_written_with_that_verdict(worse):
     out, said = worse
     assert said.code == 0, said.err

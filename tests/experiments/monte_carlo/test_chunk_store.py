@@ -103,6 +103,7 @@ def elsewhere():
         yield WorkerExecutor(threads, environment())
 
 
+@pytest.mark.slow
 def test_a_study_on_workers_is_the_declared_one_with_the_bits_of_threads(studies, elsewhere, tmp_path):
     for study in studies:
         here = sha(run_study(study, tmp_path / "here" / study.name))

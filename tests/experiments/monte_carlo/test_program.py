@@ -124,6 +124,7 @@ def test_the_gradient_of_an_expected_error_is_its_difference_quotient(world, tra
     assert slope == pytest.approx((above - below) / 2e-5, rel=tolerance)
 
 
+@pytest.mark.slow
 def test_an_expected_error_that_has_no_program_is_refused():
     with pytest.raises(UnusableInput, match="an input depends on the readings; run a study"):
         tw.expected(tw.simulate.ranges(n=2), "uwb")

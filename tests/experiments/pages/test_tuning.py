@@ -71,6 +71,7 @@ def _compared(*change, worse=()):
     return Compared(ABOUT, [], [], Verdict(difference, dict.fromkeys(worse, difference)))
 
 
+@pytest.mark.slow
 def test_the_parameters_steps_and_page_of_a_fit_are_those_of_the_fit(tmp_path):
     folders = [tw.read(random_walk(tmp_path / name, k, 0.25, 64)) for k, name in enumerate("abc")]
     named = tw.build("fix-kf", folders)

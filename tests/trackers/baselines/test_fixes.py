@@ -121,6 +121,7 @@ def test_a_tag_at_a_known_height_is_tracked_over_the_floor(circling):
         assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outline", [(), [(-1, -1), (11, -1), (11, 9), (-1, 9)]])
 def test_a_first_fix_500_m_away_is_left_among_walls_within_half_a_second(outline):
     times = np.arange(100) * 0.1

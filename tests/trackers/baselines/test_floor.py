@@ -59,6 +59,7 @@ def test_walls_and_outline_are_written_and_read_back(there):
     np.testing.assert_array_equal(rig.all_walls()[:2], [SPARE[0], [0.0, 0.0, 12.0, 0.0]])
 
 
+@pytest.mark.slow
 def test_a_folder_with_a_floor_plan_is_tracked_between_its_walls(tracked):
     assert (tracked["status"] == "ok").mean() > 0.95
     inside = Walls(outline=OUTLINE)

@@ -115,6 +115,7 @@ def climbing():
     return z, tracker.run(world), Smoothed(tracker).run(world)
 
 
+@pytest.mark.slow
 def test_a_height_whose_mirror_image_is_below_the_floor_is_resolved(climbing):
     z, estimates, _ = climbing
     high = z > 2 * PLANE + 0.3

@@ -194,6 +194,7 @@ def test_a_fault_is_found_by_its_check(name):
         check()
 
 
+@pytest.mark.slow
 def test_sound_trackers_pass_all_checks():
     tw.check_tracker(_kalman(), _recordings(3))
     tw.check_tracker(_averaged(), _recordings(3))

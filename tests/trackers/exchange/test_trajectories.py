@@ -112,7 +112,7 @@ STILL = "do not move with the truth.*use --align none, or origin"
         (SPIRAL, {"align": "twist"}, "expected one of"),
         (SPIRAL.drop("z_m"), {"align": "se3"}, "has no height"),
         (SPIRAL.clear(), {}, "own: no pose"),
-        (SPIRAL.with_columns(qw=0.0, qx=0.0, qy=0.0, qz=0.0), {}, "own: pose 1 has a zero quaternion"),
+        (SPIRAL.with_columns(qw=0.0, qx=0.0, qy=0.0, qz=0.0), {}, "own: pose 1 has no quaternion of length 1"),
         (SPIRAL, {"rpe": ("3",)}, "such as 1m"),
         (SPIRAL, {"tolerance": -1.0}, "zero or more"),
         *((SPIRAL, {"align": align, "rest": True}, STILL) for align in ("se2", "se3", "sim3", "scale")),

@@ -98,6 +98,7 @@ def test_the_likelihood_of_the_particles_has_the_grids_as_its_mean(pair):
     assert abs(ratio.mean() - 1) < 3 * ratio.std() / np.sqrt(KEYS) + 0.005
 
 
+@pytest.mark.slow
 def test_the_covariance_of_the_particles_is_the_grids(pair):
     mine = pair.particles.cov_upper[[0, 4], :, 1:].mean(axis=1).sum(axis=0)
     exact = pair.grid.cov_upper[[0, 4]][:, 1:].sum(axis=0)

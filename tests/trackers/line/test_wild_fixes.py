@@ -93,6 +93,7 @@ def tracked(request):
     return _tracked(request.param, {FIXES: FloorFixes(SIGMA)}, [{FIXES: _with_wild(kind)} for kind in KINDS])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_wild_fixes_leave_a_track_where_the_exact_filter_has_it(tracked, kind):
     estimates = tracked[list(KINDS).index(kind)]

@@ -50,6 +50,7 @@ def test_smoothing_lowers_the_error_and_a_lag_is_positive(tracker, folders):
         tw.build("moving-average", folders).smoothing()
 
 
+@pytest.mark.slow
 def test_a_fit_by_name_returns_the_tracker_by_name_with_other_values(tracker, folders):
     level = "sensors.fixes.sigma_horizontal"
     result = tw.fit(tracker, folders[0], "nll", tune=level, options=tw.FitOptions(steps=3, held_out=folders[1]))
@@ -81,6 +82,7 @@ def test_a_tracker_of_ones_own_that_fails_is_refused_in_one_line(folders, tmp_pa
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.slow
 def test_a_tracker_by_name_lists_its_tunables_and_filters_a_folder_as_a_pure_function():
     folder = tw.simulate.ranges(n=2, rows=40, seed=1).folder()
     named = tw.build("uwb", folder)

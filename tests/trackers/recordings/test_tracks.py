@@ -49,6 +49,7 @@ def one_noisy():
     return _ranges(np.arange(60) * 0.1, np.array([0.05, 0.6, 0.05, 0.05]), tags=("a", "b"))
 
 
+@pytest.mark.slow
 def test_a_line_holds_the_sums_over_all_rows_of_its_time(one_noisy):
     tracker = tw.build("uwb", one_noisy)
     table = tracker.run(one_noisy).table
@@ -84,6 +85,7 @@ def test_evaluate_and_a_study_find_the_same_nis_ratio_and_errors(one_noisy):
             assert found == pytest.approx(evaluation[metric], rel=1e-9), (name, metric)
 
 
+@pytest.mark.slow
 def test_a_track_lost_and_restarted_within_one_time_is_told_by_its_line():
     times = np.concatenate([np.arange(150) * 0.1, 75 + np.arange(150) * 0.1])
     folder = _ranges(times, np.full(8, 0.05))

@@ -81,6 +81,7 @@ def test_a_body_is_found_by_tags_of_which_none_hears_enough_anchors(folder):
     assert tw.evaluate(tracks, alone)["rmse_m"] < 0.1
 
 
+@pytest.mark.slow
 def test_a_place_without_ranges_is_estimated_too(folder):
     tags = folder.rig.tags | {"tip": Tag(HEIGHT, np.array([0.5, 0.0, 0.0]))}
     rig = dataclasses.replace(folder.rig, tags=tags, bodies={"trolley": (*OFFSETS, "tip")})

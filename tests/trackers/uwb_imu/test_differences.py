@@ -129,6 +129,7 @@ def _folder(pairs, sigma=0.05, height=None, change=lambda table: table):
 RING = [(k, (k + 1) % 6) for k in range(6)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [1.1, pytest.param(None, marks=pytest.mark.slow)])
 def test_a_folder_of_differences_alone_is_tracked(height):
     folder = _folder(RING, height=height)

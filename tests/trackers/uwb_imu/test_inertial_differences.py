@@ -96,6 +96,7 @@ def _filtered(x, P, times, accel, gyro, values, seen):
     return out
 
 
+@pytest.mark.slow
 def test_moments_and_likelihood_are_those_of_a_filter_in_numpy():
     rng, rows = np.random.default_rng(4), 60
     times = np.cumsum(rng.uniform(0.005, 0.03, rows))

@@ -40,6 +40,7 @@ def planar():
     return range_tracker(8, planar=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANAR)
 def test_tags_at_a_known_height_are_tracked_better_than_by_the_baseline(shipped, planar, name):
     errors = _errors(shipped, name, planar)

@@ -68,6 +68,7 @@ def test_a_reading_holds_until_the_next_and_no_longer_than_a_second():
     np.testing.assert_array_equal(odometry_inputs(rows, np.array([0.5, 1.2, 1.5]), readings), expected)
 
 
+@pytest.mark.slow
 def test_filter_and_smoother_equal_dense_conditioning():
     """All errors of a short way at once by least squares in double precision, whose normal matrix is the information."""
     rng, n, dt, sigma_r, arm = np.random.default_rng(3), 12, 0.2, 0.05, np.array([0.3, -0.2])

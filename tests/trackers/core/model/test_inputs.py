@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -95,7 +96,11 @@ def _runs_with_what_is_declared(tracker: AbstractTracker, batch: Batch) -> None:
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(case, id=name, marks=SLOW * name.endswith(" in space")) for name, case in FORWARD.items()]
+    "case",
+    [
+        pytest.param(case, id=name, marks=SLOW * bool(re.search("cascade| in space", name)))
+        for name, case in FORWARD.items()
+    ],
 )
 def test_a_tracker_reads_the_inputs_that_its_parts_declare(case):
     tracker, batch = case.tracker(), stack([case.recordings()[0]])

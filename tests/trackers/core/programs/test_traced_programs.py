@@ -89,6 +89,7 @@ def test_a_program_of_an_earlier_process_gives_the_bits_of_a_traced_one(name, st
     assert jax.tree_util.tree_structure(traced) == jax.tree_util.tree_structure(later)
 
 
+@pytest.mark.slow
 def test_other_numbers_use_the_program_and_other_shapes_functions_and_settings_do_not(fixes, store):
     model, part = fixes
     programs = ProgramStore(store._path, pytest.fail)

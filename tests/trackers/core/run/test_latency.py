@@ -154,6 +154,7 @@ def test_an_error_has_no_jump_where_the_latency_is_zero(rmse_of_latency):
     assert np.ptp([float(x) for x, _ in at]) < 1e-6
 
 
+@pytest.mark.slow
 def test_the_gradient_by_the_latency_is_that_of_finite_differences(rmse_of_latency):
     gradient = jax.jit(jax.grad(lambda x: rmse_of_latency(x)[0]))
     for latency in (0.0, 0.17):

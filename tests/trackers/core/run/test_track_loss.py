@@ -53,6 +53,7 @@ def test_the_room_is_the_outline_or_wider_than_the_anchors_by_its_longer_side_an
     np.testing.assert_array_equal(room_rows(5 * ANCHORS, None, 1), [[-40, 80, -40, 70]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("together", [1, pytest.param(9, marks=pytest.mark.slow)])
 def test_a_track_three_standard_deviations_outside_the_room_is_lost_and_starts_again_where_ranges_agree(together):
     recording, path = _recording(5.0 * (TIMES - AWAY_S))
