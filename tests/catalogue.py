@@ -232,8 +232,7 @@ class Case:
 
     `build`: None for the ready tracker itself. `add`: what is done to the recordings. `causal`: estimates do not depend
     on later rows. `smoothable`: they can be smoothed. `draws`: the tracker uses random numbers. `idle`: patterns of
-    tunables that change neither likelihood nor error. `quick`: it compiles within three seconds or is the only case of
-    its kind, hence it is in the default suite.
+    tunables that change neither likelihood nor error.
     """
 
     name: str
@@ -246,7 +245,6 @@ class Case:
     smoothable: bool = True
     draws: bool = False
     idle: tuple[str, ...] = ()
-    quick: bool = False
 
     def tracker(self) -> AbstractTracker:
         """The tracker; a ready one as the command line builds it."""
@@ -279,17 +277,17 @@ def _ready_cases() -> Iterator[Case]:
 
     def both(name: str, **facts: Any) -> Iterator[Case]:
         yield ready(name, **facts)
-        yield replace(ready(name, **facts), name=f"{name} in space", free_height=True, quick=False)
+        yield replace(ready(name, **facts), name=f"{name} in space", free_height=True)
 
     def flat(name: str, **facts: Any) -> Case:
         return Case(f"{name} in the plane of the array", name, source=_of_one_flat_array, **facts)
 
-    yield from both("fix-kf", quick=True)
+    yield from both("fix-kf")
     yield from both("fix-singer")
     yield from both("imm")
     yield ready("fix-mirror", idle=("*.floor",))
-    yield ready("moving-average", smoothable=False, quick=True)
-    yield ready("median", smoothable=False, quick=True)
+    yield ready("moving-average", smoothable=False)
+    yield ready("median", smoothable=False)
     yield ready("mhk", smoothable=False, idle=_MHK_IDLE)
     yield ready("mhk-stamped", smoothable=False, idle=_MHK_IDLE)
     yield ready("floor-pf", smoothable=False, draws=True)
@@ -303,15 +301,15 @@ def _ready_cases() -> Iterator[Case]:
     yield from both("tdoa-imu", source=_of_differences)
     yield from both("fusion", idle=("sensors.bearings.reported_std_scale",))
     yield from both("multilateration", smoothable=False)
-    yield ready("trilateration", smoothable=False, idle=("sigma_r",), quick=True)
+    yield ready("trilateration", smoothable=False, idle=("sigma_r",))
     yield ready("trilateration-compensated", smoothable=False)
     # No walk of four seconds has a significant speed, and no reading a standard deviation.
     yield from both("bearings", idle=("motion.length", "*.reported_std_scale"))
     mapped = ("motion.sigma_z", "*.reported_std_scale", "*.compression")
     yield Case("bearings with a map", "bearings", source=of_a_map, idle=mapped)
     yield ready("beam")
-    yield flat("beam", quick=True)
-    yield ready("das", smoothable=False, quick=True)
+    yield flat("beam")
+    yield ready("das", smoothable=False)
     yield flat("das", smoothable=False)
     yield from both("direct")
     yield ready("cascade", smoothable=False)
@@ -335,10 +333,9 @@ def _made_cases() -> Iterator[Case]:
         # Of four components 100 particles report a seventh of the squares of their errors, 1000 nine tenths.
         lambda: replace(fix_tracker(planar=True), filter=ParticleFilter(1000)),
         draws=True,
-        quick=True,
         smoothable=False,
     )
-    yield made("mhk with memory", "mhk", lambda: mhk_tracker(rate=1.0), idle=_MHK_IDLE, quick=True, smoothable=False)
+    yield made("mhk with memory", "mhk", lambda: mhk_tracker(rate=1.0), idle=_MHK_IDLE, smoothable=False)
     paper = partial(cascade_tracker, RIG.stations, paper_form=True)
     yield made("cascade by the paper's form", "cascade", paper, smoothable=False)
     free, halting = partial(LineMotion, sigma_a=0.1), partial(HaltingMotion, sigma_a=0.1)
@@ -413,9 +410,9 @@ def _smoothed_cases(cases: Iterable[Case]) -> Iterator[Case]:
         if case.smoothable:
             later = {"causal": False, "smoothable": False}
             whole, lagged = partial(smoothed, case), partial(smoothed, case, 0.3)
-            yield replace(case, name=f"{case.name}, smoothed", build=whole, quick=False, **later)
+            yield replace(case, name=f"{case.name}, smoothed", build=whole, **later)
             if case.name == "fix-kf":
-                yield replace(case, name=f"{case.name}, smoothed with a lag", build=lagged, quick=False, **later)
+                yield replace(case, name=f"{case.name}, smoothed with a lag", build=lagged, **later)
 
 
 _FORWARD = (*_ready_cases(), *_made_cases())

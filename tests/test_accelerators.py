@@ -15,24 +15,10 @@ from trackwright.tuning.objectives import NegativeLogLikelihood
 from trackwright.tuning.parameters import select_parameters
 from trackwright.tuning.problem import Problem, sums_with_derivatives
 
-DEFAULT = (
-    "beam",
-    "das",
-    "direct",
-    "fix-kf, smoothed",
-    "line-grid",
-    "mhk",
-    "multilateration",
-    "particles",
-    "uwb",
-    "uwb-imu",
-)
-"""One tracker of each kind; the others are slow together."""
+pytestmark = pytest.mark.slow
 
 DEVICE_CALLS = {"LayoutConstraint", "cu_threefry2x32_ffi"}
 """Custom calls that XLA compiles for a GPU: the order of axes in memory, and jax's random bits."""
-
-PARAMETERS = [pytest.param(name, marks=[] if name in DEFAULT else [pytest.mark.slow]) for name in CASES]
 
 
 def _checked_calls(function, *arguments):
@@ -48,7 +34,7 @@ def _checked_calls(function, *arguments):
     return set(re.findall(r"custom_call @(\w+)", program))
 
 
-@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("name", CASES)
 def test_a_tracker_lowers_for_cuda_without_calls_of_the_host_in_full_precision(name):
     case = CASES[name]
     assert _checked_calls(filter_batch, case.tracker(), stack(case.recordings())) <= DEVICE_CALLS

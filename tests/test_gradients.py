@@ -26,6 +26,8 @@ from trackwright.trackers.core.model.tunable import Scale
 from trackwright.trackers.line.grid import GridFilter
 from trackwright.trackers.line.motion import PathOutputMap
 
+pytestmark = pytest.mark.slow
+
 KEYS, PARTICLES = 64, 400
 
 
@@ -45,7 +47,6 @@ def test_the_halts_quadrature_has_converged():
         assert halt_gradient(points) == pytest.approx((0.235494, 6.516646, -0.180706), abs=1e-5)
 
 
-@pytest.mark.slow
 def test_the_grid_filter_at_a_halt_has_the_likelihood_and_gradient_of_quadrature():
     # A tag crosses whole cells, so that travel is exact; the error is quadratic in the cell size.
     speeds, fastest = 81, 2.0
@@ -71,7 +72,6 @@ def test_the_score_form_is_unbiased_by_walls(scores):
     assert _deviation(scores) < 4
 
 
-@pytest.mark.slow
 def test_the_marginal_score_scatters_less_than_half_as_much_as_the_same_particles_would(scores):
     tracker = corridor_tracker(PARTICLES // 4)
     marginal = marginal_gradients(tracker, corridor_batch(25, KEYS), CORRIDOR_TUNABLES).gradient[0]
@@ -96,7 +96,6 @@ def _line(x, y, errors):
     return found, np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("world", [CORRIDOR_25, CORRIDOR_100, HALT], ids=lambda world: world.name)
 def test_400_keys_have_the_exact_likelihood_and_score_on_average(world):
     found = world.run(2000, 400)
@@ -106,7 +105,6 @@ def test_400_keys_have_the_exact_likelihood_and_score_on_average(world):
     assert np.all(off < 4), off
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("world", [CORRIDOR_25, HALT], ids=lambda world: world.name)
 def test_bias_and_spread_of_the_score_decay_with_the_number_of_particles(world):
     """L̂·s is unbiased for any N, so that the bias of s is −cov(L̂/L, s), far more precise than the mean of s."""

@@ -9,12 +9,12 @@ BITS = ("run", "padding", "later rows", "number and order", "hidden values", "cu
 NUMBERS = ("single and batch", "accumulate", "gradient")
 """Further programs for each case: in the default suite `tests/trackers/conformance` has them for its own trackers."""
 
-RESUMED = ("fix-kf", "median", "das")
+DEFAULT = ("fix-kf", "median", "das")
 """One of each kind: a Kalman filter, a window, a tracker without memory."""
 
 
 def _slow(case, name):
-    return not case.quick or name in NUMBERS or (name == "cut and resume" and case.name not in RESUMED)
+    return case.name not in DEFAULT or name in NUMBERS
 
 
 def _params():

@@ -16,6 +16,8 @@ import pytest
 
 import trackwright as tw
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = ("experiments/lab/benchmark/", "experiments/lab/validation/")
 MINE = """import trackwright as tw
@@ -62,7 +64,6 @@ def beside(wheel, tmp_path_factory):
     return python
 
 
-@pytest.mark.slow
 def test_a_wheel_has_all_files_under_one_name_and_the_command(wheel):
     held = set(zipfile.ZipFile(wheel).namelist())
     assert {re.split("[/-]", name)[0] for name in held} == {"trackwright"}
@@ -79,7 +80,6 @@ def test_a_wheel_has_all_files_under_one_name_and_the_command(wheel):
     assert b"trackwright = trackwright.experiments.cli.main:main" in zipfile.ZipFile(wheel).read(entry)
 
 
-@pytest.mark.slow
 def test_the_wheel_runs_beside_the_trackers_of_pypi(beside, tmp_path):
     program = "import trackers, trackwright as tw; print(trackers.SORTTracker.__name__, tw.baselines.fix_tracker, tw.__file__)"
     done = _done([beside, "-c", program], tmp_path)
@@ -92,7 +92,6 @@ def test_the_wheel_runs_beside_the_trackers_of_pypi(beside, tmp_path):
     assert (tmp_path / "tracked" / "tracks.parquet").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("installed", ["wheel", "editable"])
 @pytest.mark.parametrize("checker", ["mypy", "pyright"])
 def test_type_checkers_check_calls_in_a_users_project(beside, checker, installed, tmp_path):

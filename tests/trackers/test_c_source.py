@@ -75,6 +75,7 @@ def test_single_precision_compiles_without_a_warning_and_agrees_to_its_rounding(
     assert (np.abs(found[:, 0] - expected.mean.position[0])[usable] <= 1e-4 * sigma[usable]).all()
 
 
+@pytest.mark.slow
 def test_a_tracker_whose_start_searches_begins_with_a_belief(tmp_path):
     batch = _batch("station", "beam")
     recording = batch.trajectories[0].recording

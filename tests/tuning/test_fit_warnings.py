@@ -56,6 +56,7 @@ def test_a_fit_to_data_of_the_model_has_no_cautions():
     assert "caution" not in repr(result)
 
 
+@pytest.mark.slow
 def test_a_noise_level_that_collapses_without_a_grid_is_named():
     places = _walk(np.random.default_rng(3), 600)
     result = tw.fit(line_tracker(0.3, 30.0), _gauge(places, 0 * places), "nll", LEVELS, tw.FitOptions(prior="flat"))
@@ -78,6 +79,7 @@ def _world():
     return [*walks([300, 200], 1), *walks([250], 2, sigma=0.5)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("objective", ["nll", StateLogLikelihood(dimensions=1)])
 def test_the_values_without_a_recording_are_those_of_a_fit_to_the_others(objective):
     made = _world()

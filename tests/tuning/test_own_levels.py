@@ -13,6 +13,8 @@ from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
 from trackwright.tuning.own_levels import fitted
 
+pytestmark = pytest.mark.slow
+
 STEP_S, ROWS = 0.1, 400
 TIMES = STEP_S * np.arange(ROWS)
 
@@ -45,7 +47,6 @@ def _kalman_rmse(folder, sigma_a, sigma):
     return np.sqrt(sum(np.sum(np.square(e)) for e in errors) / ROWS)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("sigma_a", "sigma"), [pytest.param(0.02, 0.3, marks=pytest.mark.slow), (2.0, 0.03)])
 def test_a_recording_tells_the_levels_of_white_noise_and_motion(sigma_a, sigma):
     folder = _walk(sigma_a, _white(sigma))
@@ -58,7 +59,6 @@ def test_a_recording_tells_the_levels_of_white_noise_and_motion(sigma_a, sigma):
     assert "sensors.fixes.sigma_horizontal 0.1 → " in own.line
 
 
-@pytest.mark.slow
 def test_levels_stay_where_errors_last():
     walk, random = _walk(0.3, _white(0.0)), np.random.default_rng(3)
     anchors = {name: np.array([x, y, 2.5]) for name, x, y in (("A", 0, 0), ("B", 6, 0), ("C", 6, 5), ("D", 0, 5))}
@@ -79,7 +79,6 @@ def test_levels_stay_where_errors_last():
     assert "errors that last look like motion" in own.line
 
 
-@pytest.mark.slow
 def test_numbers_that_were_set_stay():
     folder = _walk(0.02, _white(0.3))
     own = fitted(tw.build("fix-kf", folder).with_values({"motion.sigma_a": 0.5}), folder)

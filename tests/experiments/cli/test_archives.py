@@ -228,6 +228,7 @@ def _elsewhere(cluster):
         yield Deadly(threads, environment(), lambda path: path.name == "walk-01")
 
 
+@pytest.mark.slow
 def test_a_cluster_computes_the_same_bits_and_a_recording_that_ends_workers_costs_its_own_line(tmp_path, monkeypatch):
     write_archive(tmp_path / "archive", 4)
     own = "from trackwright.trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"

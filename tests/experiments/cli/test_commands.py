@@ -144,6 +144,7 @@ def test_a_calibrated_track_is_nearer_to_the_truth(walks, tmp_path, tracker):
     assert errors[1] < 0.7 * errors[0]
 
 
+@pytest.mark.slow
 def test_walks_without_positions_of_anchors_give_a_rig_and_a_page(tmp_path, monkeypatch):
     folders, anchors, _ = simulated_site(2, (0.5, 1.9), 0.0)
     for folder, name in zip(folders, ("low", "high"), strict=True):

@@ -102,7 +102,7 @@ def test_conditions_that_differ_in_numbers_share_a_program():
 
 
 GRADIENTS = [
-    ("line", "fix-kf", "rmse_m", "motion.sigma_a", 1e-4),
+    pytest.param("line", "fix-kf", "rmse_m", "motion.sigma_a", 1e-4, marks=SLOW),
     pytest.param("agv", "imm", "rmse_3d_m", "sensors.fixes.sigma*", 1e-4, marks=SLOW),
     # Also of the world's noise; the place where a search begins a track has no derivative.
     pytest.param("station", "beam", "rmse_direction_rad", "sensors.*.sigma_p", 2e-3, marks=SLOW),

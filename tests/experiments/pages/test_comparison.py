@@ -32,6 +32,7 @@ def runs(tmp_path_factory):
     return there
 
 
+@pytest.mark.slow
 def test_the_tables_have_the_errors_of_each_run_and_one_page_is_written(runs, tmp_path):
     folders = runs / "fix-kf", runs / "median"
     found, notices = read_runs(folders)

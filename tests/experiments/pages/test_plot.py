@@ -40,6 +40,7 @@ def _closed_figures():
     plt.close("all")
 
 
+@pytest.mark.slow
 def test_a_floor_plan_draws_estimates_truth_and_nothing_else(run, in_arrays):
     recording, estimates = run
     axes = tw.plot.floor_plan(estimates, recording, tags=["1"])

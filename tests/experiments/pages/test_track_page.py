@@ -100,6 +100,7 @@ def test_directions_are_in_degrees_and_one_in_an_arrays_plane_is_one_angle(in_pl
         assert np.degrees(line["rmse_direction_rad"]) == pytest.approx(rmse, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_band_of_nis_is_that_of_the_tracker_s_noise_and_empty_without_a_tracker():
     folder = tw.simulate.ranges(n=2, seed=1, rows=20).folder()
     tracks = tw.build("uwb", folder).run(folder)

@@ -82,6 +82,7 @@ def _enumerated(rate, rows):
     return mean, w @ (np.array(covs) + (np.array(means) - mean) ** 2), evidence + floor
 
 
+@pytest.mark.slow
 def test_without_switching_the_mixture_is_the_enumeration_of_both_sides():
     estimates = _estimates(1e-9, 7)
     mean, variance, evidence = _enumerated(1e-9, 7)
@@ -91,6 +92,7 @@ def test_without_switching_the_mixture_is_the_enumeration_of_both_sides():
     assert estimates.log_likelihood.sum() == pytest.approx(evidence, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_with_switching_the_mixture_is_near_the_enumeration_of_all_128_sequences():
     estimates = _estimates(1.0, 8)
     mean, variance, evidence = _enumerated(1.0, 8)

@@ -272,6 +272,7 @@ def test_recordings_given_as_the_first_argument_are_refused_with_the_order_of_bo
             evaluate(recording, wrong)
 
 
+@pytest.mark.slow
 def test_recordings_of_one_name_are_told_apart_by_their_place():
     def still(offset, **named):
         place = np.tile([offset, 0.0, 0.0], (20, 1))

@@ -23,11 +23,12 @@ from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.uwb_imu.fusion import TDOA, difference_tracker, range_tracker
 
+pytestmark = pytest.mark.slow
+
 FAR, NORMAL = 1e7, 1e6
 """A distance, m, at which readings are linear, and degrees of freedom at which Student's t is normal."""
 
 
-@pytest.mark.slow
 def test_likelihood_and_moments_are_those_of_dense_conditioning():
     """All four kinds at once, anchors and the station so far that readings are linear: everything is jointly normal.
 
@@ -133,7 +134,6 @@ def _folder(ranges, azimuths, elevation=False, height=1.1, later=0.0):
     return RecordingFolder("room", None, Rig("room", PLACES, STATIONS, {"T": Tag(height=height)}), tables)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("elevation", "height"), [(False, 1.1), (True, None)], ids=["azimuth at a known height", "both angles in space"]
 )

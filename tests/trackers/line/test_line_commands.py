@@ -13,6 +13,8 @@ from trackwright.trackers.evaluation.evaluate import evaluate
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording
 from trackwright.trackers.recordings.tracks import track
 
+pytestmark = pytest.mark.slow
+
 SITUATIONS = ("constant", "halts", "speeds")
 TAGS = 24
 """Of each situation: of 1,000 particles a few in a thousand tracks lose the tag for a while, where the grid loses none."""
@@ -35,7 +37,6 @@ def tracked(folders):
     return lru_cache(lambda name: _tracked(folders, name))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["line-grid", "line-pf"])
 def test_on_all_situations_the_path_halves_the_error_of_the_fixes(folders, tracked, name):
     evaluation = evaluate(tracked(name)[0], folders)
@@ -62,7 +63,6 @@ def test_ranges_to_one_anchor_after_the_other_give_the_position_on_the_path():
 LARGEST = {"ngbui-line-1-1": 0.045, "ngbui-line-2-1": 0.10, "ngbui-line-3-1": 0.5}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["line-grid", "line-pf"])
 def test_real_ranges_along_a_marked_line_give_the_position_on_it(recordings, name):
     real = [recordings / recording for recording in LARGEST]

@@ -18,6 +18,8 @@ from trackwright.trackers.line.motion import HaltingMotion, HaltingState, LineMo
 from trackwright.trackers.line.tracker import FloorFixes
 from trackwright.trackers.parts.fixes import FIXES
 
+pytestmark = pytest.mark.slow
+
 KEYS, ROWS, DT = 200, 12, 0.5
 PARTICLES = 4000
 """With 1,000 the bias of 1/N is up to 6 mm, four standard errors of 200 keys."""
@@ -82,7 +84,6 @@ def _on_line(estimates):
     return np.stack([arclength, np.hypot(*estimates.mean.velocity)], axis=-1)
 
 
-@pytest.mark.slow
 def test_estimates_over_200_keys_are_the_grids_within_3_standard_errors(pair):
     means, exact = _on_line(pair.particles)[:, 1:], _on_line(pair.grid)[1:]
     # The grid itself is off by the square of its steps over the standard deviation: 1 mm, and 2 mm/s.
@@ -91,14 +92,12 @@ def test_estimates_over_200_keys_are_the_grids_within_3_standard_errors(pair):
     assert np.all(error < 3 * standard + slack)
 
 
-@pytest.mark.slow
 def test_the_likelihood_of_the_particles_has_the_grids_as_its_mean(pair):
     ratio = np.exp(pair.particles.log_likelihood.sum(axis=1) - pair.grid.log_likelihood.sum())
     # The grid's own likelihood is right to about half a percent here.
     assert abs(ratio.mean() - 1) < 3 * ratio.std() / np.sqrt(KEYS) + 0.005
 
 
-@pytest.mark.slow
 def test_the_covariance_of_the_particles_is_the_grids(pair):
     mine = pair.particles.cov_upper[[0, 4], :, 1:].mean(axis=1).sum(axis=0)
     exact = pair.grid.cov_upper[[0, 4]][:, 1:].sum(axis=0)

@@ -12,6 +12,8 @@ from trackwright.trackers.line.motion import LineMotion, PathOutputMap
 from trackwright.trackers.line.tracker import FloorFixes, line_grid_tracker, line_tracker
 from trackwright.trackers.parts.fixes import FIXES
 
+pytestmark = pytest.mark.slow
+
 LENGTH, ROWS, DT, SIGMA, DOF = 20.0, 150, 0.1, 0.3, 4.0
 TIMES = DT * np.arange(ROWS)
 LINE = Polyline([[0.0, 0.0], [LENGTH, 0.0]])
@@ -93,7 +95,6 @@ def tracked(request):
     return _tracked(request.param, {FIXES: FloorFixes(SIGMA)}, [{FIXES: _with_wild(kind)} for kind in KINDS])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_wild_fixes_leave_a_track_where_the_exact_filter_has_it(tracked, kind):
     estimates = tracked[list(KINDS).index(kind)]

@@ -10,6 +10,8 @@ from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.mhk.tracker import STILL, mhk_tracker
 from trackwright.trackers.parts.fixes import FIXES
 
+pytestmark = pytest.mark.slow
+
 SIGMA_A, SIGMA_DISPLACEMENT, WINDOW = 0.8, 0.01, 3
 
 

@@ -61,6 +61,7 @@ def test_a_line_holds_the_sums_over_all_rows_of_its_time(one_noisy):
     assert 4 * 2 * 57 <= table["nis_dof"].sum() <= 4 * 2 * 60
 
 
+@pytest.mark.slow
 def test_evaluate_and_a_study_find_the_same_nis_ratio_and_errors(one_noisy):
     study = Study(
         name="noisy",

@@ -12,6 +12,8 @@ from trackwright.trackers.recordings.folder import RecordingFolder, Selection
 from trackwright.trackers.recordings.rig_file import read_rig, rig_text
 from trackwright.tuning.calibrating import calibrate
 
+pytestmark = pytest.mark.slow
+
 CORNERS = {f"A{k}": np.array(place) for k, place in enumerate([(-3, -3, 2.2), (3, -3, 2.6), (3, 3, 2.2), (-3, 3, 2.6)])}
 OFFSETS = {"front": (0.3, 0.0), "left": (-0.2, 0.25), "right": (-0.2, -0.25)}
 HEIGHT, SIGMA = 1.0, 0.05
@@ -47,7 +49,6 @@ def folder():
     return _folder(1)
 
 
-@pytest.mark.slow
 def test_position_and_heading_are_found_whatever_the_first_heading_with_covariances_that_hold():
     errors = []
     for seed, first in enumerate((0.0, 1.5, 3.0, -1.5)):
@@ -69,7 +70,6 @@ def test_position_and_heading_are_found_whatever_the_first_heading_with_covarian
     assert 0.85 < (np.abs(np.concatenate(errors)) < 1.96).mean() <= 1.0
 
 
-@pytest.mark.slow
 def test_a_body_is_found_by_tags_of_which_none_hears_enough_anchors(folder):
     heard = {"front": ["A0", "A1"], "left": ["A1", "A2"], "right": ["A2", "A3"]}
     table = folder.tables["ranges"]
@@ -81,7 +81,6 @@ def test_a_body_is_found_by_tags_of_which_none_hears_enough_anchors(folder):
     assert tw.evaluate(tracks, alone)["rmse_m"] < 0.1
 
 
-@pytest.mark.slow
 def test_a_place_without_ranges_is_estimated_too(folder):
     tags = folder.rig.tags | {"tip": Tag(HEIGHT, np.array([0.5, 0.0, 0.0]))}
     rig = dataclasses.replace(folder.rig, tags=tags, bodies={"trolley": (*OFFSETS, "tip")})
@@ -92,7 +91,6 @@ def test_a_place_without_ranges_is_estimated_too(folder):
     assert np.allclose(tip - front, 0.2 * ahead, atol=0.02)
 
 
-@pytest.mark.slow
 def test_calibration_finds_where_the_ranges_of_a_tag_end_and_headings_follow():
     ends = {"front": (0.01, -0.04), "left": (-0.03, -0.02), "right": (0.03, -0.02)}
     known = [_folder(seed, first, ends, name=f"known {seed}") for seed, first in ((11, 0.0), (12, 2.0), (13, 4.0))]

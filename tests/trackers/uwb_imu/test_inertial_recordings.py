@@ -18,6 +18,8 @@ from trackwright.trackers.recordings.folder import RecordingFolder, read_recordi
 from trackwright.trackers.uwb_imu.body_rows import inertial_trajectories
 from trackwright.trackers.uwb_imu.inertial import inertial_tracker
 
+pytestmark = pytest.mark.slow
+
 
 def _rmse(tracker, recordings):
     """Over the last row of every tenth of a second with a truth, all tags together."""
@@ -39,7 +41,6 @@ def _with_and_without(folder, planar):
     return _rmse(tracker, recordings), _rmse(tracker, blind)
 
 
-@pytest.mark.slow
 def test_a_tilting_tag_that_its_known_height_has_taken_for_level_is_named():
     walk = (
         ImuDraw(RangeDraw(chamber(), corruptions={"turn": round_robin()}, rate_hz=40.0, n_points=400))
@@ -55,7 +56,6 @@ def test_a_tilting_tag_that_its_known_height_has_taken_for_level_is_named():
     assert build("uwb-imu", level).run(level).notices == ()
 
 
-@pytest.mark.slow
 def test_a_sensor_without_gravity_and_gyro_reduces_the_error_of_a_planar_tag_by_a_tenth(recordings):
     for name, limit in (("ngbui-line-1-1", 0.08), ("ngbui-line-2-1", 0.28)):
         with_imu, without = _with_and_without(recordings / name, planar=True)
@@ -63,7 +63,6 @@ def test_a_sensor_without_gravity_and_gyro_reduces_the_error_of_a_planar_tag_by_
         assert with_imu < limit
 
 
-@pytest.mark.slow
 def test_in_three_dimensions_the_error_with_the_imu_is_at_most_nine_tenths_of_that_without(recordings):
     with_imu, without = _with_and_without(recordings / "starloc-fast-s1", planar=False)
     assert with_imu < 0.9 * without

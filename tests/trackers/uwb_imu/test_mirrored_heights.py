@@ -50,6 +50,7 @@ def _wrong_side(tracks, folders):
     return wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folders", [HALLS, DRONES], ids=["halls", "drones"])
 @pytest.mark.parametrize("name", ["uwb", "multilateration"])
 def test_tracks_are_on_the_likely_side_of_anchors_at_the_ceiling_and_on_the_floor(name, folders):

@@ -8,6 +8,8 @@ from trackwright.trackers.parts.ranges import range_trajectories
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.uwb_imu.fusion import range_tracker
 
+pytestmark = pytest.mark.slow
+
 # Horizontal RMSE, m, and 3-D where it is judged: of a Kalman filter whose noise was tuned on that very recording, and a
 # centimetre more where biases are smaller than the defaults, whose covariances hold elsewhere, expect.
 PLANAR = {"labyrinth": 0.22, "trolley": 0.16}
@@ -40,7 +42,6 @@ def planar():
     return range_tracker(8, planar=True)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANAR)
 def test_tags_at_a_known_height_are_tracked_better_than_by_the_baseline(shipped, planar, name):
     errors = _errors(shipped, name, planar)
@@ -52,7 +53,6 @@ def spatial():
     return range_tracker(8)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SPATIAL)
 def test_tags_in_three_dimensions_are_tracked_better_than_by_the_baseline(recordings, spatial, name):
     errors = _errors(recordings, name, spatial)

@@ -21,6 +21,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="parameters of glibc")
 def test_memory_that_is_kept_is_not_cleared_again_under_the_limit_of_dasks_workers():
     limited = os.environ | {"MALLOC_TRIM_THRESHOLD_": "65536"}

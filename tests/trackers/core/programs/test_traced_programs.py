@@ -18,6 +18,8 @@ from trackwright.trackers.core.programs import PREFIX, USERS_FILE, ProgramStore
 from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype, chunks, jitted, outputs, outputs_and_state
 from trackwright.trackers.recordings.tracks import batches
 
+pytestmark = pytest.mark.slow
+
 WORLDS = {"phases": worlds.station, "ranges": worlds.ranges, "imu": worlds.tool, "fixes": worlds.agv}
 SLOW = ("uwb", "direct", "cascade", "das", "uwb-imu", "imm", "mhk", "floor-pf", "line-pf", "line-grid")
 
@@ -89,7 +91,6 @@ def test_a_program_of_an_earlier_process_gives_the_bits_of_a_traced_one(name, st
     assert jax.tree_util.tree_structure(traced) == jax.tree_util.tree_structure(later)
 
 
-@pytest.mark.slow
 def test_other_numbers_use_the_program_and_other_shapes_functions_and_settings_do_not(fixes, store):
     model, part = fixes
     programs = ProgramStore(store._path, pytest.fail)

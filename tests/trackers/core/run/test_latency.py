@@ -74,6 +74,7 @@ def test_in_single_precision_the_truth_after_a_long_gap_is_the_spline_and_that_i
     np.testing.assert_allclose(values[1:, :, 0][later], spline(t[later] - 0.21), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_an_objective_scores_the_rows_that_evaluate_scores_where_the_truth_has_a_hole():
     # Rows inside the hole have no truth; those after it are valid inside.
     recording = _recording(60, unknown=range(20, 32))
@@ -113,6 +114,7 @@ def _set(tracker, **values):
     return tracker.with_values({f"sensors.fixes.{name}": value for name, value in values.items()})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", [lambda tracker: tracker, Smoothed], ids=["filtered", "smoothed"])
 def test_an_unknown_latency_adds_its_variance_times_the_squared_velocity_and_leaves_the_estimate(of):
     recording, tracker = _recording(), fix_tracker()

@@ -160,7 +160,8 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "rounded": Case("warning", "equal the previous row of the same tag and sensor", with_columns("tdoa", TD.round(0)), False),
     }),
 }  # fmt: skip
-SLOW = {"azimuths of a compass", "azimuths alone, of another sign", "places in millimetres", "x and y of the places"}
+SLOW = {"azimuths of a compass", "azimuths alone, of another sign", "places in millimetres", "x and y of the places",
+        "the sign", "truth of another origin", "ids exchanged", "places exchanged"}  # fmt: skip
 """Mistakes of a kind that another one shows, and whose fits take seconds."""
 
 MISTAKES = [
