@@ -17,7 +17,7 @@ LINES = {
     "tuning": 4_318,
     "experiments": 9_585,
     "trackwright": 29,
-    "tests": 23_834,
+    "tests": 23_830,
 }
 """The most lines of Python of each folder at the top."""
 

@@ -19,9 +19,9 @@ from trackwright.trackers.core.run.chunks import as_dtype
 N, SLOW = 6, pytest.mark.slow
 LINE, STATION = {"rate_hz": 1.0}, {"rows": 30, "drop_outs": 0.2, "outliers": 0.05, "gauss_markov": 0.1}
 AGV, FEW = {"rows": 60, "mirror": 0.1, "latency": 0.2}, {"rows": 3, "drop_outs": 0.95}
-PAIRS = [("line", "fix-kf", LINE), ("line", "fix-kf", {**LINE, "situation": "speeds"}), ("station", "beam", STATION),
-         ("station", "das", FEW), ("agv", "median", AGV)]  # fmt: skip
-LONG = [("station", "direct", {**STATION, "lost_station": "2", "masked_antenna": ("1", 3)}),
+PAIRS = [("line", "fix-kf", {**LINE, "situation": "speeds"}), ("station", "das", FEW), ("agv", "median", AGV)]
+LONG = [("line", "fix-kf", LINE), ("station", "beam", STATION),
+        ("station", "direct", {**STATION, "lost_station": "2", "masked_antenna": ("1", 3)}),
         ("station", "cascade", STATION), ("agv", "imm", AGV), ("agv", "mhk", AGV)]  # fmt: skip
 
 

@@ -61,13 +61,14 @@ def _rmse(errors):
     return float(np.sqrt(np.nanmean((errors**2).sum(axis=-1))))
 
 
-@pytest.mark.parametrize("tracker", ["direct", pytest.param("cascade", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("tracker", ["direct", "cascade"])
 @pytest.mark.parametrize(
     ("world", "bound"),
     [
         # a quarter above the larger of both trackers' errors over three seeds
-        pytest.param("whole", 0.035, marks=pytest.mark.slow),
-        pytest.param("a station is lost", 0.063, marks=pytest.mark.slow),
+        ("whole", 0.035),
+        ("a station is lost", 0.063),
         ("a station falls silent", 0.05),
         ("an antenna is dead", 0.034),
         ("rows drop out", 0.042),

@@ -59,6 +59,7 @@ def test_tracks_are_on_the_likely_side_of_anchors_at_the_ceiling_and_on_the_floo
     assert [line.partition(":")[0] for line in tracks.notices] == [folder.rig.name for folder in folders]
 
 
+@pytest.mark.slow
 def test_a_given_side_decides_where_neither_is_likelier_and_truth_tells_the_wrong_one():
     above, below = (tw.build("uwb", MIDDLE, side=side).run(MIDDLE) for side in ("above", "below"))
     assert (_wrong_side(above, MIDDLE), above.notices) == ([], ())
