@@ -41,16 +41,15 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     for name, config in study.trackers.items():
         program = _program_of(study, condition, name)
         batches = cache(lambda name=name: _batches(study, condition, name, folder()))
-        of_recordings = partial(_scored, study, config, batches, ids)
-        run = partial(program.run, part_of(study.seed, ids)) if program else of_recordings
+        recordings = partial(_scored, study, config, batches, ids)
+        run = partial(program.run, part_of(study.seed, ids)) if program else recordings
         arrays = run()
         if first:
             if "us_per_row" in study.metrics:
-                # A second run: the first one also compiled.
                 began = time.perf_counter()
-                run()
-                seconds = time.perf_counter() - began
-                arrays["us_per_row"] = np.array(1e6 * seconds / max(np.sum(arrays["sum n_rows"]), 1))
+                run()  # again: the first run also compiled
+                us_per_row = 1e6 * (time.perf_counter() - began) / max(np.sum(arrays["sum n_rows"]), 1)
+                arrays["us_per_row"] = np.array(us_per_row)
             if any(metric.startswith("bound") for metric in study.metrics):
                 arrays["bounds"] = _bounds(batches())
         results.append(arrays)

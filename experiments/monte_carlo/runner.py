@@ -93,7 +93,6 @@ class ChunkStore(Store[Part, bytes]):
         for key in (key for key in current if stored.get(key) != current[key]):
             found = f"{key}: {str(stored.get(key))[:60]}, not {str(current[key])[:60]}"
             raise UnusableInput(f"{path}: the folder holds another study ({found}); choose another --out, or remove it")
-        # Also where no chunk is missing, and none will be written.
         return self
 
     @cached_property
@@ -130,8 +129,7 @@ class ChunkStore(Store[Part, bytes]):
                     of_tracker = {n.partition("/")[2]: x for n, x in arrays.items() if n.startswith(f"{k}/")}
                     totals[part[0], name].add(part[1] * study.chunk, of_tracker)
             except (ValueError, LookupError, TypeError) as error:
-                path = self.path(part)
-                raise UnusableInput(f"{path}: not a chunk of a study; remove it and run the study again") from error
+                raise UnusableInput(f"{self.path(part)}: no chunk of a study; remove it, and run it again") from error
         return Results(study, totals)
 
 
@@ -141,8 +139,11 @@ def packed(trackers: Sequence[Mapping[str, np.ndarray]]) -> bytes:
     file, alike = io.BytesIO(), dict[tuple[Any, ...], dict[str, np.ndarray]]()
     for name, x in ((f"{k}/{name}", x) for k, of in enumerate(trackers) for name, x in of.items()):
         alike.setdefault((x.shape, x.dtype), {})[name] = x
-    stacked = {"\n".join(arrays): np.stack([*arrays.values()]) for arrays in alike.values()}
-    np.savez_compressed(file, allow_pickle=False, **stacked)
+    # As `np.savez_compressed`, whose level of compression takes seven times as long and saves a seventh.
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as chunk:
+        for arrays in alike.values():
+            with chunk.open("\n".join(arrays) + ".npy", "w") as member:
+                np.lib.format.write_array(member, np.stack([*arrays.values()]), allow_pickle=False)
     return file.getvalue()
 
 

@@ -57,7 +57,7 @@ def test_a_damaged_chunk_is_named(finished):
     data = bytearray(path.read_bytes())
     data[90] ^= 255
     path.write_bytes(data)
-    with pytest.raises(UnusableInput, match=f"{path.name}: not a chunk of a study; remove it"):
+    with pytest.raises(UnusableInput, match=f"{path.name}: no chunk of a study; remove it"):
         run_study(SMALL, folder)
     with pytest.raises(UnusableInput, match="holds another study .seed: 0, not 1"):
         run_study(dataclasses.replace(SMALL, seed=1), folder)
