@@ -59,9 +59,8 @@ class LineDraw(AbstractDraw):
     """Tags that travel the path once, at rest for `rest_s` s before and after, with fixes at `rate_hz`.
 
     `situation`: as in `durations`. `errors`: corruptions of the fixes by name, in order. `knots`: the corners (x, y) of
-    the path, m. `carried_off`: start and end, s, of the time that the tag spends off the line, and its offset, (dx, dy)
-    m. Its arrays: `arclength` (n, T) m; `positions`, `fixes` (n, T, 2) m, where `seen`. The thesis prints neither
-    speeds nor rate.
+    the path, m. Its arrays: `arclength` (n, T) m; `positions`, `fixes` (n, T, 2) m, where `seen`. The thesis prints
+    neither speeds nor rate.
     """
 
     situation: Literal["constant", "halts", "speeds"] = static(default="constant")
@@ -70,7 +69,6 @@ class LineDraw(AbstractDraw):
     speed: float = static(default=0.3)
     rest_s: float = static(default=10.0)
     rate_hz: float = static(default=5.0)
-    carried_off: tuple[float, float, tuple[float, float]] | None = static(default=None)
 
     measured = MappingProxyType({"fixes": "seen"})
 
@@ -95,10 +93,6 @@ class LineDraw(AbstractDraw):
         corners, xp = np.concatenate([[0.0], np.cumsum(lengths)]), namespace(ends)
         arclength = piecewise_linear(times, ends.T[..., None], np.repeat(corners, 2)[1:])
         positions = xp.stack([piecewise_linear(arclength, corners, axis) for axis in knots.T], axis=-1)
-        if self.carried_off is not None:
-            start, stop, offset = self.carried_off
-            away = (times >= start) & (times < stop)
-            positions = positions + np.where(away[:, None], np.asarray(offset, float), 0.0)
         if len(ends) == 1:
             arclength, positions = repeated(arclength, keys), repeated(positions, keys)
         fixes, seen = corrupted(self.errors, keys, times, positions)

@@ -43,10 +43,3 @@ def test_errors_are_as_large_as_printed_and_half_of_their_variance_is_slow():
     lag = 5
     correlation = np.mean(error[:, lag:] * error[:, :-lag]) / np.mean(error**2)
     assert correlation == pytest.approx(0.5 * np.exp(-1.0 / 1.5), abs=0.02)
-
-
-def test_a_tag_can_be_carried_off():
-    away = LineDraw("constant", errors={}, carried_off=(20.0, 30.0, (0.0, 1.5))).drawn()
-    home, inside = LineDraw("constant", errors={}).drawn(), (away.times >= 20.0) & (away.times < 30.0)
-    np.testing.assert_array_equal(away.fixes, away.positions)
-    np.testing.assert_allclose(away.positions - home.positions, np.where(inside[:, None], [0.0, 1.5], 0.0)[None])
