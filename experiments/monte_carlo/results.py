@@ -122,11 +122,6 @@ class Results:
         """A measure's numbers (n,), one per trajectory."""
         return self.totals[self.study.condition(world, **point).index, tracker].measures[measure]
 
-    def cdf(self, world: str, tracker: str, kind: str = "m", **point: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Cumulative distribution of errors: error, m or rad, and the share of rows with at most that error."""
-        histogram = self.totals[self.study.condition(world, **point).index, tracker].histograms[kind].sum(axis=0)
-        return EDGES, np.cumsum(histogram) / max(histogram.sum(), 1)
-
     def _replicated(self, metric: str, condition: Condition, tracker: str) -> tuple[Any, np.ndarray]:
         """A metric of all trajectories, and of the resamplings (R,)."""
         totals = self.totals[condition.index, tracker]
