@@ -23,8 +23,8 @@ unit = "rad"
 def demo() -> None:
     """Simulate, check, track, evaluate and tune: a tour in out/demo.
 
-    Prints what each step shows and every command before it is run. It takes about a minute; an out/demo of before is
-    replaced. Two real recordings are left in out/demo/recordings to try commands on.
+    Prints what each step shows and every command before it is run. It takes a minute, at first three; an out/demo of
+    before is replaced. Two real recordings are left in out/demo/recordings to try commands on.
     """
     began = time.monotonic()
     shutil.rmtree(OUT, ignore_errors=True)
