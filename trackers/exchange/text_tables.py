@@ -136,9 +136,9 @@ def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
     full, order, column = (texts != "").fill_null(False), order.replace("iso", "yyyy-mm-dd"), " + ".join(columns)
     first = next(iter(texts.filter(full)), "")
     if order == CLOCK:
-        parts = texts.str.replace(",", ".").str.extract_groups(r"^(\d\d?):(\d\d)(?::(\d\d(?:\.\d*)?))?$")
+        parts = texts.str.replace(",", ".").str.extract_groups(r"^(\d\d?):([0-5]\d):((?:[0-5]\d|60)(?:\.\d*)?)$")
         h, m, s = (part.cast(pl.Float64) for part in parts.struct.unnest())
-        found = h * 3600 + m * 60 + s.fill_null(0.0)
+        found = h * 3600 + m * 60 + s
         steps = found.forward_fill().diff().fill_null(0.0)
         # A row that is late over midnight is of the day before.
         found += 86400.0 * (steps < -43200.0).cum_sum() - 86400.0 * (steps > 86340.0).cum_sum()
@@ -155,6 +155,8 @@ def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
         row = first_row(wrong)
         alike = f"as {first!r}, a time zone in all rows or none" if row != first_row(full) else "no order is guessed"
         fix = "write years in full, from 1900 on, hours of 24, zones as +02:00"
+        if order == CLOCK:
+            alike, fix = "all three in every row", "write hours of 24, minutes and seconds, as 14:03:59.25"
         date = re.match(r"\d\d?([-/.])(\w+)\1\d{4}", given[row])
         orders = [form.replace("-", date[1]) for form in ("mm-dd-yyyy", "dd-mm-yyyy")] if date else [order]
         orders = ["dd-mmm-yyyy"] if date and date[2].isalpha() else orders
