@@ -157,9 +157,10 @@ def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
         fix = "write years in full, from 1900 on, hours of 24, zones as +02:00"
         if order == CLOCK:
             alike, fix = "all three in every row", "write hours of 24, minutes and seconds, as 14:03:59.25"
-        date = re.match(r"\d\d?([-/.])(\w+)\1\d{4}", given[row])
-        orders = [form.replace("-", date[1]) for form in ("mm-dd-yyyy", "dd-mm-yyyy")] if date else [order]
-        orders = ["dd-mmm-yyyy"] if date and date[2].isalpha() else orders
+        date, forms = re.match(r"(\d\d?)([-/.])(\w+)\2\d{4}", given[row]), ["dd-mmm-yyyy"]
+        if date and date[3].isdigit():  # a number above 12 is no month
+            forms = ["mm-dd-yyyy"] * (int(date[1]) <= 12) + ["dd-mm-yyyy"] * (int(date[3]) <= 12)
+        orders = [form.replace("-", date[2]) for form in forms] if date and forms else [order]
         if order not in orders:
             fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
         raise UnusableInput(f"{file.location(row, column)}: {given[row]!r}; expected {order}, {alike}: {fix}")

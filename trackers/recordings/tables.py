@@ -47,6 +47,7 @@ _FOUND = {
     r"[-+]?\d{1,3}([,.' ])\d{3}(\1\d{3}|[.,]\d)\d*.*|[-+]?\d{1,3}[' ]\d{3}": (
         "thousands are grouped in it: `trackwright import --thousands {mark!r}`"
     ),
+    r"[-+]?\d*\.\d+([eE][-+]?\d+)?": "it has a decimal point: `trackwright import --decimal .`, the default",
     r"[^ \d]*": "leave a missing cell empty, or name its mark: `trackwright import --missing={text}`",
 }
 """What to do about a text where a number is expected, by its form."""
