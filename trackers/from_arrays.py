@@ -141,13 +141,9 @@ def bearing_recording(
 
 
 def phase_recording(
-    times: np.ndarray,
-    phases: Mapping[str, np.ndarray],
-    *,
-    height: float | None = None,
-    truth: np.ndarray | None = None,
-    name: str = "recording",
-) -> Recording:
+    times: np.ndarray, phases: Mapping[str, np.ndarray], *, height: float | None = None,
+    truth: np.ndarray | None = None, name: str = "recording",
+) -> Recording:  # fmt: skip
     """Phases (T, n) rad of the antennas of each station by name, for `direct_tracker` and `cascade_tracker`.
 
     One station under the name that `beam_tracker` was given suits that one.

@@ -266,10 +266,13 @@ def _of_table(path: Path, text: str, form: Reading) -> Rows:
     names = [] if form.header == "none" else [cell.strip() for cell in rows["cells"][0]]
     if len(names) > 1 and all(map(_NUMBER.fullmatch, names)):
         raise UnusableInput(f"{path}: line {at} is {head[:60]!r}, without names of columns; {_HEADER}")
-    rows = rows[bool(names) :]
+    cells, width = pl.col("cells").list, len(names) or max(rows["cells"].list.len())
+    header_again = cells.eval(pl.element().str.strip_chars()).list.join("\n") == "\n".join(names)
+    repeated, rows = rows.filter(header_again)["line"][1:], rows.filter(~header_again)
+    if len(repeated):
+        notices.append(f"{counted(len(repeated), 'line')} with the header again left out: {listed(repeated)}")
     if len(comments):
         notices.append(f"{counted(len(comments), 'line')} of comments left out: {listed(comments['line'])}")
-    cells, width = pl.col("cells").list, len(names) or max(rows["cells"].list.len())
     beyond = cells.slice(width).list.eval(pl.element().str.strip_chars() != "").list.any()
     wrong = rows.select((cells.len() < width) | beyond).to_series()
     if names and wrong.any():

@@ -327,11 +327,10 @@ def restarted_at(t: np.ndarray) -> int | None:
     behind = t < latest - late
     for start, end in np.flatnonzero(np.diff(behind, prepend=False, append=False)).reshape(-1, 2):
         first, last = t[start:end].min(), t[start:end].max()
-        if end - start < LEAST_AGAIN or first == last:
-            continue
-        following = t[~behind & (t > first)]
-        # Parts of a file that are out of order follow each other, or have dates.
-        apart = following.min() - last > FAR * late
-        if following.min() < last or (apart and (first < UNIX_S or abs(t[start - 1] - t[start] - HOUR_S) < late)):
-            return int(start)
+        if end - start >= LEAST_AGAIN and first < last:
+            following = t[~behind & (t > first)].min()
+            # Parts of a file that are out of order follow each other, or have dates.
+            restarts = first < UNIX_S or abs(t[start - 1] - t[start] - HOUR_S) < late
+            if following < last or (restarts and following - last > FAR * late):
+                return int(start)
     return None
