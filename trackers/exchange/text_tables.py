@@ -220,7 +220,11 @@ def read_rows(path: Path, form: Reading, is_json: bool = False) -> tuple[TableFi
     of_lines = is_json or form.lines is not None
     frame, lines, notices = _of_lines(path, text, form.lines) if of_lines else _of_table(path, text, form)
     if form.missing:
-        marked = pl.all().str.strip_chars().is_in(list(form.missing))
+        # A mark that is a number is missing in any of its forms; a 0 may be the first time.
+        cells = pl.all().str.strip_chars()
+        numbers = cells.str.replace(form.decimal, ".", literal=True).cast(pl.Float64, strict=False)
+        values = pl.DataFrame({"mark": list(form.missing)}).select(numbers).filter(pl.col("mark") != 0)["mark"]
+        marked = cells.is_in(list(form.missing)) | numbers.is_in(values.to_list()).fill_null(False)
         count = int(frame.select(marked.sum()).sum_horizontal().sum())
         notices.append(f"{counted(count, 'cell')} with {listed(form.missing)} read as missing")
         frame = frame.with_columns(pl.when(~marked).then(pl.all()))

@@ -53,6 +53,8 @@ def _column(*numbers):
         ("t;d1;d2\n0;1,5;2,5\n0,1;1,6;1.234,5\n", {"thousands": ".", "decimal": ","}, WIDE, ""),
         ("t,d1,d2,d3\n0,1.5,2.5,N/A\n0.1,1.6,1234.5,-999\n", {"missing": ["N/A", "-999"]}, (*WIDE, "range_m[A3]=d3"),
          "2 cells with N/A, -999 read as missing"),
+        ("t;a;d\n0;A1;1,5\n0;A2;2,5\n0,1;A1;1,6\n0,1;A2;1234,5\n0,2;A1;-1,0\n0,2;A2;-1\n", {"missing": ["-1"], "decimal": ","},
+         ("t_s=t", "anchor=a", "range_m=d"), "2 cells with -1 read as missing"),
         ("t,d1,d2\n0,1.5,2.5\nt,d1, d2\n0.1,1.6,1234.5\nt,d1,d2\n", {}, WIDE, "2 lines with the header again left out: 3, 5"),
         ("t,d1,d2\r0,1.5,2.5\r\n0.1,1.6,1234.5".encode("utf-16"), {}, WIDE, ""),
         ("t,d1,d2\n0,1.5,2.5\n0.1,1.6,1234.5".encode("utf-16-le"), {"encoding": "utf-16-le"}, WIDE, ""),
