@@ -38,6 +38,7 @@ UNITS: dict[str, dict[str, float]] = {
 _DATE = re.compile(r"iso|hh:mm:ss|(?:yyyy|mmm?|dd)([-/.])(?:yyyy|mmm?|dd)\1(?:yyyy|mmm?|dd)")
 _FIELD = r"(?<![\w.])[^\W\d]\w*(?:\[\d*\])*(?:\.\w+(?:\[\d*\])*)*(?![\w.\[]|\s*\()"
 _TARGET = re.compile(r"(?P<name>[\w{}]+)(?:\[(?P<sensor>[^\]]+)\])?")
+_NAMED_UNIT = re.compile(r"(?:^|[\s_\[(])([a-z][a-z/^2]+|[gh](?=[\])]))[\])]?$")  # at the end of a column's name
 _FORM = "TARGET=COLUMN, COLUMN in UNIT, COLUMN*NUMBER+NUMBER, A+B*1e-9, sqrt(COLUMN) or 'TEXT'"
 
 
@@ -92,7 +93,9 @@ def parsed(target: str, text: str, file: TableFile | None = None) -> Expression:
     body, unit = re.findall(r"(?s)^(.*?)(?:\s+in\s+(\S+))?$", text)[0]
     unit, units = unit.lower() if {"Y", ":"} & {*unit} else unit, UNITS.get(name.rpartition("_")[2], {})
     if (whole := text.strip("`")) in known:
-        if text == whole and units.get(unit, 1.0) != 1.0:
+        unit = (_NAMED_UNIT.findall(whole.lower().replace("°", "deg").replace("µ", "u")) or [""])[0]
+        is_time = file is not None and file.frame[whole].dtype.is_temporal()
+        if text == whole and units.get(unit, 1.0) != 1.0 and not is_time:
             raise UnusableInput(f"{target}={text}: expected `{text}` in {unit}, or `{text}` if that is not its unit")
         return Expression(name, text, (whole,))
     sources = dict[str, str]()
