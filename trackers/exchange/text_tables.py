@@ -216,7 +216,7 @@ class Reading:
 def read_rows(path: Path, form: Reading, is_json: bool = False) -> tuple[TableFile, list[str]]:
     """The columns of a text, or of Parquet, and notices; raises UnusableInput with the line."""
     if path.name.lower().endswith(".parquet"):
-        return read_table_file(path), []
+        return read_table_file(path), ["--missing is not used: Parquet has empty cells"] * bool(form.missing)
     if form.thousands == form.decimal:
         raise UnusableInput(f"--thousands and --decimal: both are {form.decimal!r}; expected two marks; give the other")
     text = _text(path, form)

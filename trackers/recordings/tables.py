@@ -40,7 +40,7 @@ _LATEST = 1e20  # beyond nanoseconds since 1970
 _FOUND = {
     r"\d{4}-.*": "it looks like a date: `trackwright import` with 't_s={column} in iso'",
     r"\d{1,4}([-/.])(\d{1,2}|[A-Za-z]{3})\1\d{1,4}([T ].*)?": (
-        "it looks like a date: `trackwright import` with 't_s={column} in dd/mm/yyyy', or its own order"
+        "it looks like a date: `trackwright import` with 't_s={column} in dd/mm/yyyy', or its own form, as dd-mmm-yyyy"
     ),
     r"\d{1,2}:\d\d(:.*)?": "it looks like a time of day: `trackwright import` with 't_s={column} in hh:mm:ss'",
     r"[-+]?\d+,\d+([eE][-+]?\d+)?": "it looks like a decimal comma: `trackwright import --decimal ,`",

@@ -117,6 +117,11 @@ def test_a_time_is_read_from_two_columns_a_clock_a_date_or_days(tmp_path, expres
     np.testing.assert_allclose([row[0] for row in tables["ranges"]], expected, atol=1e-6, rtol=0)
 
 
+def test_marks_of_missing_values_that_a_parquet_file_does_not_have_are_named(tmp_path):
+    pl.DataFrame({"t": [0.0, 1.0], "d1": [1.5, -1.0]}).write_parquet(tmp_path / "log.parquet")
+    assert "--missing is not used" in _read(tmp_path / "log.parquet", WIDE[:2], missing=["-1"])[1]
+
+
 def test_a_column_for_each_anchor_or_pair_becomes_a_row_for_each(tmp_path):
     path = tmp_path / "wide.csv"
     path.write_text("time,d1,d2,power,note\n0.1,1000,2000,-70,x\n0.2,,2100,-71,y\n")
