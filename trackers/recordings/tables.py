@@ -104,6 +104,8 @@ def first_row(rows: pl.Series) -> int:
 
 def remedy(text: str, column: str) -> str:
     """What to do about a text where a number is expected."""
+    if text == column:
+        return "its name stands again in it: remove that row, or `trackwright import` leaves the header out"
     words = next((words for form, words in _FOUND.items() if re.fullmatch(form, text)), "leave a missing cell empty")
     return words.format(column=column, text=text[:20], mark=text.lstrip("+-0123456789")[:1])
 
