@@ -59,7 +59,10 @@ class Expression(NamedTuple):
             raise UnusableInput(f"{said}: names no column; expected {_FORM}")
         is_time = file.frame[self.sources[0]].dtype in (pl.Datetime, pl.Date)
         if _DATE.fullmatch(self.unit) and not is_time:
-            return _dates(file, self.sources, self.unit)
+            later = re.sub(r"c\d+\s*\+?|\s", "", self.sql)
+            if not re.fullmatch(r"(-?\d+(\.\d*)?)?", later):
+                raise UnusableInput(f"{said}: expected columns joined by +, then seconds, as date+time-7200 in iso")
+            return _dates(file, self.sources, self.unit) + float(later or 0.0)
         if is_time and UNITS["s"].get(self.unit, 1.0) != 1.0:
             raise UnusableInput(f"{said}: holds times, read as seconds since 1970; expected no unit")
         frame = pl.DataFrame({f"c{k}": numbers_of(file, source) for k, source in enumerate(self.sources)})
@@ -94,8 +97,7 @@ def parsed(target: str, text: str, file: TableFile | None = None) -> Expression:
     unit, units = unit.lower() if {"Y", ":"} & {*unit} else unit, UNITS.get(name.rpartition("_")[2], {})
     if (whole := text.strip("`")) in known:
         unit = (_NAMED_UNIT.findall(whole.lower().replace("°", "deg").replace("µ", "u")) or [""])[0]
-        is_time = file is not None and file.frame[whole].dtype.is_temporal()
-        if text == whole and units.get(unit, 1.0) != 1.0 and not is_time:
+        if text == whole and units.get(unit, 1.0) != 1.0 and file and not file.frame[whole].dtype.is_temporal():
             raise UnusableInput(f"{target}={text}: expected `{text}` in {unit}, or `{text}` if that is not its unit")
         return Expression(name, text, (whole,))
     sources = dict[str, str]()
@@ -361,6 +363,5 @@ def _json_rows(value: Any, path: str) -> list[dict[str, str]]:
         if len(rows) == 1 and not any("[]" in name.removeprefix(path) for name in rows[0]):
             single |= rows[0]
         elif rows:
-            beside = several.get(len(rows), [{}] * len(rows))
-            several[len(rows)] = [a | b for a, b in zip(beside, rows, strict=True)]
+            several[len(rows)] = [a | b for a, b in zip(several.get(len(rows), [{}] * len(rows)), rows, strict=True)]
     return [single | row for rows in several.values() for row in rows] or [single]

@@ -98,6 +98,8 @@ def test_json_lines_of_kits_are_rows_for_each_element_or_key(tmp_path, text, col
     [
         ("secs+nsecs*1e-9", "secs,nsecs", ["1777904000,0", "1777904000,500000000"], [NOON, NOON + 0.5]),
         ("date+time in dd.mm.yyyy", "date,time", ["04.05.2026,14:13:20", "04.05.2026,14:13:20.5"], [NOON, NOON + 0.5]),
+        ("date+time - 7200 in iso", "date,time", ["2026-05-04,16:13:20", "2026-05-04,16:13:20.5"], [NOON, NOON + 0.5]),
+        ("when + 86400.5 in hh:mm:ss", "when,x", ["00:00:01,0", "00:00:02,0"], [86401.5, 86402.5]),
         ("when in dd-mmm-yyyy", "when,x", ["04-May-2026 14:13:20,0", "04-may-2026 14:13:20.5,0"], [NOON, NOON + 0.5]),
         ("when in hh:mm:ss", "when,x", ["23:59:59.5,0", "00:00:00.25,0", "23:59:59.75,0"], [86399.5, 86400.25, 86399.75]),
         ("when in matlab", "when,x", ["740106.5,0", "740106.75,0"], [20577.5 * 86400, 20577.75 * 86400]),
@@ -210,6 +212,7 @@ def _when(unit):
         ("log.csv", CSV, {"columns": ["anchor=5", "range_m=distance"]}, "anchor=5 .*expected text .*or 'TEXT' for every row"),
         ("log.csv", CSV, {"columns": ["anchor=id", "range_m=distance"], "where": {"word": [2]}}, "where word = 2 fits no row; found 1, oops"),
         ("log.csv", DATES.format(US, "13/05/2026 14:13:20"), _when("mm/dd/yyyy"), "name it, as 't_s=t in dd/mm/yyyy'$"),
+        ("log.csv", DATES.format(ZONE, ZONE), {"columns": ["t_s=t*2 in iso", WIDE[1]]}, r"t\*2 in iso: expected columns joined by"),
         ("log.csv", "lat,time,d\n1,0,2\n", {"columns": ["range_m[A1]=d"]}, "needs t_s, .*'t_s=time in UNIT'"),
         ("log.csv", "t;d1\n0,1;4.51\n", {"columns": ["t_s=t", WIDE[1]], "decimal": ","}, r"'4\.51', .*it has a decimal point"),
         ("log.csv", DATES.format(NO_ZONE, ZONE), _when("iso"), r"line 3\), .*a time zone in all rows or none"),
