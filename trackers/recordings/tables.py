@@ -291,7 +291,7 @@ def _refuse_restart(file: TableFile, frame: pl.DataFrame, ids: tuple[str, ...]) 
     rows = frame.with_row_index("row").unique(subset=frame.columns, keep="first", maintain_order=True)
     for part in rows.partition_by(ids, maintain_order=True):
         t = part["t_s"].to_numpy()
-        if (at := restarted_at(t)) is not None:
+        if (at := restarted_at(t, frame["t_s"].to_numpy())) is not None:
             found = f"{t[at]:.3f} after {t[:at].max():.3f} of the same {' and '.join(ids[::-1])}: the clock went back"
             fix = "expected times that increase; make two recordings of it, or sort rows that are out of order alone"
             raise UnusableInput(f"{file.location(part['row'][at], 't_s')}: {found}; {fix}")
@@ -322,17 +322,20 @@ def unwrapped_times(t: np.ndarray, begins: np.ndarray | bool = False) -> tuple[n
     return t, []
 
 
-def restarted_at(t: np.ndarray) -> int | None:
-    """The first of times (n,), s, that goes back, unlike late rows, and repeats earlier times or is far from them."""
+def restarted_at(t: np.ndarray, others: np.ndarray | None = None) -> int | None:
+    """The first of times (n,), s, that goes back, unlike late rows, and repeats earlier times or is far from them.
+
+    Far also from the times of `others`, since one sensor may be out of reach.
+    """
     latest = np.maximum.accumulate(t)
     late = max(JITTER_S, JITTER * float(np.median(np.abs(np.diff(t, prepend=t[0])))))
     behind = t < latest - late
     for start, end in np.flatnonzero(np.diff(behind, prepend=False, append=False)).reshape(-1, 2):
         first, last = t[start:end].min(), t[start:end].max()
         if end - start >= LEAST_AGAIN and first < last:
-            following = t[~behind & (t > first)].min()
+            repeats, every = t[~behind & (t > first)].min() < last, t if others is None else others
             # Parts of a file that are out of order follow each other, or have dates.
             restarts = first < UNIX_S or abs(t[start - 1] - t[start] - HOUR_S) < late
-            if following < last or (restarts and following - last > FAR * late):
+            if repeats or (restarts and every[every > last].min() - last > FAR * late):
                 return int(start)
     return None

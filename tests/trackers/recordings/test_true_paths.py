@@ -86,3 +86,6 @@ def test_a_clock_that_restarts_is_found_also_where_it_repeats_no_time_but_not_la
     others = (np.append(t[90:], t[:90]), t[::-1], np.append(t + UNIX_S + 900.0, t + UNIX_S), np.append(t + 30.0, t[:3]))
     assert {name: restarted_at(times) for name, times in restarts.items()} == dict.fromkeys(restarts, 200)
     assert all(restarted_at(times) is None for times in others)
+    # An anchor out of reach where one half of a file ends and the other, which stands first, begins.
+    sparse = np.append(t[110:], t[:50])
+    assert (restarted_at(sparse), restarted_at(sparse, t)) == (90, None)
