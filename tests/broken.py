@@ -124,6 +124,9 @@ BROKEN: dict[str, Builder] = {
     "time not a number": with_cell("truth", "t_s", "nan"),
     "time a clock text": with_cell("ranges", "t_s", "12:00:01"),
     "time a date": with_table("ranges", lambda x: x.with_columns(t_s=pl.lit("2026-05-01")), word="'t_s=t_s in iso'"),
+    "header again": with_table(
+        "ranges", lambda x: x.with_columns(t_s=pl.lit("t_s")), word="its name stands again in it"
+    ),
     "clock that starts again": with_table(
         "ranges",
         lambda table: pl.concat([table, table.with_columns(pl.col("t_s") + 0.02)]),

@@ -29,14 +29,9 @@ COARSE_M = 1e-3  # spacing of single precision, m, from which coordinates are fa
 
 
 def fix_recording(
-    times: np.ndarray,
-    positions: np.ndarray,
-    *,
-    std: np.ndarray | None = None,
-    height: float | None = None,
-    truth: np.ndarray | None = None,
-    name: str = "recording",
-) -> Recording:
+    times: np.ndarray, positions: np.ndarray, *, std: np.ndarray | None = None, height: float | None = None,
+    truth: np.ndarray | None = None, name: str = "recording",
+) -> Recording:  # fmt: skip
     """Position fixes, `positions` (T, 2 or 3) m, as `fix_tracker` and its kin read them; `std`: of the same shape, m.
 
     With a `height`, for trackers over the floor (`planar=True`), z is masked.
@@ -117,16 +112,10 @@ def range_recording(
 
 
 def bearing_recording(
-    times: np.ndarray,
-    bearings: np.ndarray,
-    station: Sequence[str],
-    stations: Mapping[str, Station],
-    *,
-    std: np.ndarray | None = None,
-    height: float | None = None,
-    truth: np.ndarray | None = None,
+    times: np.ndarray, bearings: np.ndarray, station: Sequence[str], stations: Mapping[str, Station], *,
+    std: np.ndarray | None = None, height: float | None = None, truth: np.ndarray | None = None,
     name: str = "recording",
-) -> Recording:
+) -> Recording:  # fmt: skip
     """Azimuth and elevation, `bearings` (T, 2) rad, one pair per row, for `bearing_tracker`.
 
     `station`: (T,) the name of each row's station. `std`: (T, 2) rad.
@@ -152,13 +141,9 @@ def bearing_recording(
 
 
 def phase_recording(
-    times: np.ndarray,
-    phases: Mapping[str, np.ndarray],
-    *,
-    height: float | None = None,
-    truth: np.ndarray | None = None,
-    name: str = "recording",
-) -> Recording:
+    times: np.ndarray, phases: Mapping[str, np.ndarray], *, height: float | None = None,
+    truth: np.ndarray | None = None, name: str = "recording",
+) -> Recording:  # fmt: skip
     """Phases (T, n) rad of the antennas of each station by name, for `direct_tracker` and `cascade_tracker`.
 
     One station under the name that `beam_tracker` was given suits that one.

@@ -90,12 +90,7 @@ CASES = {
         [(F, Q, 0.0)] * 40,
         [[(np.atleast_1d(a), H, R), (b, TWO, Q)] for a, b in zip(Z, SLOW, strict=True)],
     ),
-    "reported": (
-        _linear(F, H, Q, R),
-        tw.series(Z, std=np.full(40, 0.7)),
-        [(F, Q, 0.0)] * 40,
-        _rows(Z, r=R + 0.49),
-    ),
+    "reported": (_linear(F, H, Q, R), tw.series(Z, std=np.full(40, 0.7)), [(F, Q, 0.0)] * 40, _rows(Z, r=R + 0.49)),
     "precise": (_linear(F, H, Q, [[1e-9]]), tw.series(Z), [(F, Q, 0.0)] * 40, _rows(Z, r=np.array([[1e-9]]))),
 }
 

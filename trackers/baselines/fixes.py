@@ -22,13 +22,9 @@ from trackwright.trackers.parts.median import nan_median
 
 
 def fix_tracker(
-    sigma_a: float = 1.0,
-    sigma_z: float = 0.3,
-    sigma_horizontal: float = 0.1,
-    sigma_vertical: float = 0.3,
-    dof: float | None = 4.0,
-    planar: bool = False,
-) -> Tracker:
+    sigma_a: float = 1.0, sigma_z: float = 0.3, sigma_horizontal: float = 0.1, sigma_vertical: float = 0.3,
+    dof: float | None = 4.0, planar: bool = False,
+) -> Tracker:  # fmt: skip
     """Constant velocity in x and y, from fixes; the height is a random walk, or known and not estimated if `planar`.
 
     `sigma_a` m/s² per √Hz, `sigma_z` m per √s; the sensor's sigmas m. `dof`: degrees of freedom of Student's t, None
@@ -40,13 +36,9 @@ def fix_tracker(
 
 
 def singer_tracker(
-    sigma_a: float = 1.0,
-    tau: float = 1.0,
-    sigma_horizontal: float = 0.1,
-    sigma_vertical: float = 0.3,
-    dof: float | None = 4.0,
-    planar: bool = False,
-) -> Tracker:
+    sigma_a: float = 1.0, tau: float = 1.0, sigma_horizontal: float = 0.1, sigma_vertical: float = 0.3,
+    dof: float | None = 4.0, planar: bool = False,
+) -> Tracker:  # fmt: skip
     """Singer's motion (1970) from fixes, in three dimensions or, if `planar`, in x and y.
 
     `sigma_a` m/s² and `tau` s: standard deviation and time constant of the acceleration; the sensor's sigmas m.

@@ -24,18 +24,12 @@ from trackwright.trackers.core.on_demand import fault_of, from_file, split_name
 from trackwright.trackers.exchange.mapping import ORIGIN, Source, TableMapping, read_mapping
 from trackwright.trackers.exchange.text_tables import Reading, columns_of, parsed, read_rows, sensor_of, texts_of
 from trackwright.trackers.exchange.trajectories import Similarity, read_tum
-from trackwright.trackers.recordings.checks.readings import (
-    Compared,
-    about_vertical,
-    compared,
-    known_median,
-    robust_fit,
-)
+from trackwright.trackers.recordings.checks.readings import Compared, about_vertical, compared, known_median, robust_fit
 from trackwright.trackers.recordings.files import beside, file_bytes
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from trackwright.trackers.recordings.kinds import KINDS, table_kinds
 from trackwright.trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
-from trackwright.trackers.recordings.tables import SUFFIXES, TableFile, first_row, unwrapped_times
+from trackwright.trackers.recordings.tables import SUFFIXES, TableFile, first_row, unwrapped
 
 LONGEST_S, STEP_S = 10.0, 0.5  # differences of the clocks that are searched: some decimetres of motion between two
 FEW, NEAR = 240, 3  # readings of the search, and how many of its 24 turns are refined at each difference
@@ -253,8 +247,8 @@ def _written(folder: RecordingFolder, path: Path, source: Source) -> RecordingFo
         raise UnusableInput(re.sub(cell, original, str(problem)).replace(str(path), "imported")) from problem
     for name, table in tables.items():
         if not table["t_s"].is_sorted():
-            times, _ = unwrapped_times(table["t_s"].to_numpy())
-            table.with_columns(t_s=times).sort("t_s", maintain_order=True).write_parquet(path / f"{name}.parquet")
+            straight, _ = unwrapped(table, table_kinds()[name].layout(table.columns).ids)
+            straight.sort("t_s", maintain_order=True).write_parquet(path / f"{name}.parquet")
     return read
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -152,7 +153,9 @@ def _complete(
     expressions |= {n: parsed(n, f"`{n}`", file) for n in known if n not in expressions and n in present}
     needed = ("t_s", *wanted.ids, *(wanted.values or table_kinds()[table].least))
     if missing := [name for name in needed if name not in expressions]:
-        like = get_close_matches(missing[0].rpartition("_")[0], [c for c in present if c not in known], 1, 0.3)
+        unnamed = [column for column in present if column not in known]
+        like = [c for c in unnamed if missing[0] == "t_s" and re.search(r"time|stamp|date|epoch|clock", c.lower())]
+        like = like or get_close_matches(missing[0].rpartition("_")[0], unnamed, 1, 0.3)
         example = f"{missing[0]}={(like or ['COLUMN'])[0]}" + " in UNIT" * ("_" in missing[0])
         fixes = {"tag": "give --tag ID (in Python: tag=)", "z_m": "add an empty column where no height is measured"}
         fix = fixes.get(missing[0], f"add --columns '{example}'; a file without a header: --header none")

@@ -38,6 +38,7 @@ UNITS: dict[str, dict[str, float]] = {
 _DATE = re.compile(r"iso|hh:mm:ss|(?:yyyy|mmm?|dd)([-/.])(?:yyyy|mmm?|dd)\1(?:yyyy|mmm?|dd)")
 _FIELD = r"(?<![\w.])[^\W\d]\w*(?:\[\d*\])*(?:\.\w+(?:\[\d*\])*)*(?![\w.\[]|\s*\()"
 _TARGET = re.compile(r"(?P<name>[\w{}]+)(?:\[(?P<sensor>[^\]]+)\])?")
+_NAMED_UNIT = re.compile(r"(?:^|[\s_\[(])([a-z][a-z/^2]+|[gh](?=[\])]))[\])]?$")  # at the end of a column's name
 _FORM = "TARGET=COLUMN, COLUMN in UNIT, COLUMN*NUMBER+NUMBER, A+B*1e-9, sqrt(COLUMN) or 'TEXT'"
 
 
@@ -58,7 +59,10 @@ class Expression(NamedTuple):
             raise UnusableInput(f"{said}: names no column; expected {_FORM}")
         is_time = file.frame[self.sources[0]].dtype in (pl.Datetime, pl.Date)
         if _DATE.fullmatch(self.unit) and not is_time:
-            return _dates(file, self.sources, self.unit)
+            later = re.sub(r"c\d+\s*\+?|\s", "", self.sql)
+            if not re.fullmatch(r"(-?\d+(\.\d*)?)?", later):
+                raise UnusableInput(f"{said}: expected columns joined by +, then seconds, as date+time-7200 in iso")
+            return _dates(file, self.sources, self.unit) + float(later or 0.0)
         if is_time and UNITS["s"].get(self.unit, 1.0) != 1.0:
             raise UnusableInput(f"{said}: holds times, read as seconds since 1970; expected no unit")
         frame = pl.DataFrame({f"c{k}": numbers_of(file, source) for k, source in enumerate(self.sources)})
@@ -92,7 +96,8 @@ def parsed(target: str, text: str, file: TableFile | None = None) -> Expression:
     body, unit = re.findall(r"(?s)^(.*?)(?:\s+in\s+(\S+))?$", text)[0]
     unit, units = unit.lower() if {"Y", ":"} & {*unit} else unit, UNITS.get(name.rpartition("_")[2], {})
     if (whole := text.strip("`")) in known:
-        if text == whole and units.get(unit, 1.0) != 1.0:
+        unit = (_NAMED_UNIT.findall(whole.lower().replace("°", "deg").replace("µ", "u")) or [""])[0]
+        if text == whole and units.get(unit, 1.0) != 1.0 and file and not file.frame[whole].dtype.is_temporal():
             raise UnusableInput(f"{target}={text}: expected `{text}` in {unit}, or `{text}` if that is not its unit")
         return Expression(name, text, (whole,))
     sources = dict[str, str]()
@@ -136,9 +141,9 @@ def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
     full, order, column = (texts != "").fill_null(False), order.replace("iso", "yyyy-mm-dd"), " + ".join(columns)
     first = next(iter(texts.filter(full)), "")
     if order == CLOCK:
-        parts = texts.str.replace(",", ".").str.extract_groups(r"^(\d\d?):(\d\d)(?::(\d\d(?:\.\d*)?))?$")
+        parts = texts.str.replace(",", ".").str.extract_groups(r"^(\d\d?):([0-5]\d):((?:[0-5]\d|60)(?:\.\d*)?)$")
         h, m, s = (part.cast(pl.Float64) for part in parts.struct.unnest())
-        found = h * 3600 + m * 60 + s.fill_null(0.0)
+        found = h * 3600 + m * 60 + s
         steps = found.forward_fill().diff().fill_null(0.0)
         # A row that is late over midnight is of the day before.
         found += 86400.0 * (steps < -43200.0).cum_sum() - 86400.0 * (steps > 86340.0).cum_sum()
@@ -155,9 +160,12 @@ def _dates(file: TableFile, columns: Sequence[str], order: str) -> pl.Series:
         row = first_row(wrong)
         alike = f"as {first!r}, a time zone in all rows or none" if row != first_row(full) else "no order is guessed"
         fix = "write years in full, from 1900 on, hours of 24, zones as +02:00"
-        date = re.match(r"\d\d?([-/.])(\w+)\1\d{4}", given[row])
-        orders = [form.replace("-", date[1]) for form in ("mm-dd-yyyy", "dd-mm-yyyy")] if date else [order]
-        orders = ["dd-mmm-yyyy"] if date and date[2].isalpha() else orders
+        if order == CLOCK:
+            alike, fix = "all three in every row", "write hours of 24, minutes and seconds, as 14:03:59.25"
+        date, forms = re.match(r"(\d\d?)([-/.])(\w+)\2\d{4}", given[row]), ["dd-mmm-yyyy"]
+        if date and date[3].isdigit():  # a number above 12 is no month
+            forms = ["mm-dd-yyyy"] * (int(date[1]) <= 12) + ["dd-mm-yyyy"] * (int(date[3]) <= 12)
+        orders = [form.replace("-", date[2]) for form in forms] if date and forms else [order]
         if order not in orders:
             fix = f"name it, as {' or '.join(repr(f't_s={column} in {one}') for one in orders)}"
         raise UnusableInput(f"{file.location(row, column)}: {given[row]!r}; expected {order}, {alike}: {fix}")
@@ -210,14 +218,18 @@ class Reading:
 def read_rows(path: Path, form: Reading, is_json: bool = False) -> tuple[TableFile, list[str]]:
     """The columns of a text, or of Parquet, and notices; raises UnusableInput with the line."""
     if path.name.lower().endswith(".parquet"):
-        return read_table_file(path), []
+        return read_table_file(path), ["--missing is not used: Parquet has empty cells"] * bool(form.missing)
     if form.thousands == form.decimal:
         raise UnusableInput(f"--thousands and --decimal: both are {form.decimal!r}; expected two marks; give the other")
     text = _text(path, form)
     of_lines = is_json or form.lines is not None
     frame, lines, notices = _of_lines(path, text, form.lines) if of_lines else _of_table(path, text, form)
     if form.missing:
-        marked = pl.all().str.strip_chars().is_in(list(form.missing))
+        # A mark that is a number is missing in any of its forms; a 0 may be the first time.
+        cells = pl.all().str.strip_chars()
+        numbers = cells.str.replace(form.decimal, ".", literal=True).cast(pl.Float64, strict=False)
+        values = pl.DataFrame({"mark": list(form.missing)}).select(numbers).filter(pl.col("mark") != 0)["mark"]
+        marked = cells.is_in(list(form.missing)) | numbers.is_in(values.to_list()).fill_null(False)
         count = int(frame.select(marked.sum()).sum_horizontal().sum())
         notices.append(f"{counted(count, 'cell')} with {listed(form.missing)} read as missing")
         frame = frame.with_columns(pl.when(~marked).then(pl.all()))
@@ -263,10 +275,13 @@ def _of_table(path: Path, text: str, form: Reading) -> Rows:
     names = [] if form.header == "none" else [cell.strip() for cell in rows["cells"][0]]
     if len(names) > 1 and all(map(_NUMBER.fullmatch, names)):
         raise UnusableInput(f"{path}: line {at} is {head[:60]!r}, without names of columns; {_HEADER}")
-    rows = rows[bool(names) :]
+    cells, width = pl.col("cells").list, len(names) or max(rows["cells"].list.len())
+    header_again = cells.eval(pl.element().str.strip_chars()).list.join("\n") == "\n".join(names)
+    repeated, rows = rows.filter(header_again)["line"][1:], rows.filter(~header_again)
+    if len(repeated):
+        notices.append(f"{counted(len(repeated), 'line')} with the header again left out: {listed(repeated)}")
     if len(comments):
         notices.append(f"{counted(len(comments), 'line')} of comments left out: {listed(comments['line'])}")
-    cells, width = pl.col("cells").list, len(names) or max(rows["cells"].list.len())
     beyond = cells.slice(width).list.eval(pl.element().str.strip_chars() != "").list.any()
     wrong = rows.select((cells.len() < width) | beyond).to_series()
     if names and wrong.any():
@@ -348,6 +363,5 @@ def _json_rows(value: Any, path: str) -> list[dict[str, str]]:
         if len(rows) == 1 and not any("[]" in name.removeprefix(path) for name in rows[0]):
             single |= rows[0]
         elif rows:
-            beside = several.get(len(rows), [{}] * len(rows))
-            several[len(rows)] = [a | b for a, b in zip(beside, rows, strict=True)]
+            several[len(rows)] = [a | b for a, b in zip(several.get(len(rows), [{}] * len(rows)), rows, strict=True)]
     return [single | row for rows in several.values() for row in rows] or [single]

@@ -177,8 +177,7 @@ def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estim
     x, y = x[:, :axes], y[:, :axes]
     from_x, from_y = x - x.mean(axis=0), y - y.mean(axis=0)
     u, d, v = np.linalg.svd(from_y.T @ from_x / n)
-    signs = np.ones(axes)
-    signs[-1] = -1.0 if np.linalg.det(u) * np.linalg.det(v) < 0 else 1.0
+    signs = np.append(np.ones(axes - 1), -1.0 if np.linalg.det(u) * np.linalg.det(v) < 0 else 1.0)
     # A tag at rest turns as the noise of its positions does, which does not follow the truth.
     still = n * (d * signs).sum() <= ALIKE * np.linalg.norm(from_x) * np.linalg.norm(from_y)
     if still or np.count_nonzero(d > np.finfo(float).eps) < axes - 1:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from trackwright.trackers.core.errors import UnusableInput, listed
+from trackwright.trackers.core.errors import UNIX_S, UnusableInput, listed
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.columns import QUATERNION
 from trackwright.trackers.recordings.files import file_bytes
@@ -25,9 +25,14 @@ from trackwright.trackers.recordings.kinds import UNITS, Kind, Layout, table_kin
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 JITTER_S, JITTER = 1.0, 5.0  # late rows are sorted up to so many s, or median steps
-LEAST_AGAIN = 5  # rows that repeat earlier times from which a clock went back
-WRAPS = {2.0**32 * 1e-6: "2³² µs (4294.967 s)", 2.0**32 * 1e-3: "2³² ms (4294967.296 s)"}
-"""Periods of counters of 32 bits, s, in words."""
+LEAST_AGAIN = 5  # rows that repeat earlier times, or end `FAR` of these before the next, from which a clock went back
+FAR, HOUR_S = 5.0, 3600.0  # at the end of summer time a clock goes back by an hour
+WRAPS = {
+    2.0**24 * 1e-6: "2²⁴ µs (16.777 s)", 2.0**40 / 63.8976e9: "2⁴⁰ ticks of a DW1000 (17.207 s)",
+    2.0**16 * 1e-3: "2¹⁶ ms (65.536 s)", 2.0**32 * 1e-6: "2³² µs (4294.967 s)", 2.0**24 * 1e-3: "2²⁴ ms (16777.216 s)",
+    86400.0: "a day", 604800.0: "a week", 2.0**32 * 1e-3: "2³² ms (4294967.296 s)",
+}  # fmt: skip
+"""Periods of counters and clocks, s, in words."""
 
 _LARGEST = 1e15  # its square is within the range of a 32-bit float
 _LATEST = 1e20  # beyond nanoseconds since 1970
@@ -35,13 +40,14 @@ _LATEST = 1e20  # beyond nanoseconds since 1970
 _FOUND = {
     r"\d{4}-.*": "it looks like a date: `trackwright import` with 't_s={column} in iso'",
     r"\d{1,4}([-/.])(\d{1,2}|[A-Za-z]{3})\1\d{1,4}([T ].*)?": (
-        "it looks like a date: `trackwright import` with 't_s={column} in dd/mm/yyyy', or its own order"
+        "it looks like a date: `trackwright import` with 't_s={column} in dd/mm/yyyy', or its own form, as dd-mmm-yyyy"
     ),
     r"\d{1,2}:\d\d(:.*)?": "it looks like a time of day: `trackwright import` with 't_s={column} in hh:mm:ss'",
     r"[-+]?\d+,\d+([eE][-+]?\d+)?": "it looks like a decimal comma: `trackwright import --decimal ,`",
     r"[-+]?\d{1,3}([,.' ])\d{3}(\1\d{3}|[.,]\d)\d*.*|[-+]?\d{1,3}[' ]\d{3}": (
         "thousands are grouped in it: `trackwright import --thousands {mark!r}`"
     ),
+    r"[-+]?\d*\.\d+([eE][-+]?\d+)?": "it has a decimal point: `trackwright import --decimal .`, the default",
     r"[^ \d]*": "leave a missing cell empty, or name its mark: `trackwright import --missing={text}`",
 }
 """What to do about a text where a number is expected, by its form."""
@@ -98,6 +104,8 @@ def first_row(rows: pl.Series) -> int:
 
 def remedy(text: str, column: str) -> str:
     """What to do about a text where a number is expected."""
+    if text == column:
+        return "its name stands again in it: remove that row, or `trackwright import` leaves the header out"
     words = next((words for form, words in _FOUND.items() if re.fullmatch(form, text)), "leave a missing cell empty")
     return words.format(column=column, text=text[:20], mark=text.lstrip("+-0123456789")[:1])
 
@@ -189,10 +197,8 @@ def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl
             words = f"{name} of 0 {unit}: {zeros}; not used: leave the cell of a missing reading empty"
             notices.append(f"{name}: {words}")
             frame = frame.with_columns(pl.when(pl.col(column) != 0).then(column).alias(column))
-    unwrapped, wraps = unwrapped_times(frame["t_s"].to_numpy())
-    if wraps:
-        notices += [f"{name}: {wrap}" for wrap in wraps]
-        frame = frame.with_columns(t_s=unwrapped)
+    frame, wraps = unwrapped(frame, expected.ids)
+    notices += [f"{name}: {wrap}" for wrap in wraps]
     steps = frame["t_s"].diff()
     if unordered := int((steps < 0).sum()):
         _refuse_restart(file, frame.drop(set(expected.quality) & {*frame.columns}), expected.ids)
@@ -285,19 +291,30 @@ def _refuse_restart(file: TableFile, frame: pl.DataFrame, ids: tuple[str, ...]) 
     rows = frame.with_row_index("row").unique(subset=frame.columns, keep="first", maintain_order=True)
     for part in rows.partition_by(ids, maintain_order=True):
         t = part["t_s"].to_numpy()
-        if (at := restarted_at(t)) is not None:
+        if (at := restarted_at(t, frame["t_s"].to_numpy())) is not None:
             found = f"{t[at]:.3f} after {t[:at].max():.3f} of the same {' and '.join(ids[::-1])}: the clock went back"
-            fix = "expected times that increase; make the rows before and after it two recordings"
+            fix = "expected times that increase; make two recordings of it, or sort rows that are out of order alone"
             raise UnusableInput(f"{file.location(part['row'][at], 't_s')}: {found}; {fix}")
 
 
-def unwrapped_times(t: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Times (n,), s, of a counter that wrapped, each part after the one before, and a notice that says so."""
-    steps, usual = np.diff(t), np.median(np.abs(np.diff(t, prepend=t[0])))
+def unwrapped(table: pl.DataFrame, ids: Sequence[str]) -> tuple[pl.DataFrame, list[str]]:
+    """The table with times as `unwrapped_times` gives them; rows of one sensor may stand after those of another."""
+    begins = table.select(pl.struct(ids).is_first_distinct()).to_series()
+    times, notices = unwrapped_times(table["t_s"].to_numpy(), begins.to_numpy())
+    return table.with_columns(t_s=times), notices
+
+
+def unwrapped_times(t: np.ndarray, begins: np.ndarray | bool = False) -> tuple[np.ndarray, list[str]]:
+    """Times (n,), s, of a counter that wrapped, each part after the one before, and a notice that says so.
+
+    A step back into a row that `begins` a stream is none of the clock.
+    """
+    steps = np.where(np.broadcast_to(begins, t.shape)[1:], 0.0, np.diff(t))
+    usual = float(np.median(np.abs(steps[steps != 0]))) if steps.any() else 0.0
     for period, words in WRAPS.items():
         # Messages may be missing at the wrap; readings as rare as the period say nothing of one.
-        back = np.abs(steps + period) < np.clip(5.0 * usual, 1e-3 * period, 0.25 * period)
-        if back.any():
+        back = np.abs(steps + period) < np.clip(5.0 * usual, 1e-3 * period, 0.05 * period)
+        if back.any() and np.ptp(t) < 1.001 * period:
             turns = back.astype(int) - (np.abs(steps - period) < 1e-3 * period)
             times = np.concatenate([t[:1], t[1:] + period * np.cumsum(turns)])
             at = ", ".join(str(k + 2) for k in np.flatnonzero(back)[:4])
@@ -305,12 +322,20 @@ def unwrapped_times(t: np.ndarray) -> tuple[np.ndarray, list[str]]:
     return t, []
 
 
-def restarted_at(t: np.ndarray) -> int | None:
-    """The first of times (n,), s, that goes back and repeats earlier times, unlike late rows; or None."""
+def restarted_at(t: np.ndarray, others: np.ndarray | None = None) -> int | None:
+    """The first of times (n,), s, that goes back, unlike late rows, and repeats earlier times or is far from them.
+
+    Far also from the times of `others`, since one sensor may be out of reach.
+    """
     latest = np.maximum.accumulate(t)
-    behind = t < latest - max(JITTER_S, JITTER * float(np.median(np.abs(np.diff(t, prepend=t[0])))))
+    late = max(JITTER_S, JITTER * float(np.median(np.abs(np.diff(t, prepend=t[0])))))
+    behind = t < latest - late
     for start, end in np.flatnonzero(np.diff(behind, prepend=False, append=False)).reshape(-1, 2):
-        again = t[start:end]
-        if len(again) >= LEAST_AGAIN and (~behind & (t > again.min()) & (t < again.max())).any():
-            return int(start)
+        first, last = t[start:end].min(), t[start:end].max()
+        if end - start >= LEAST_AGAIN and first < last:
+            repeats, every = t[~behind & (t > first)].min() < last, t if others is None else others
+            # Parts of a file that are out of order follow each other, or have dates.
+            restarts = first < UNIX_S or abs(t[start - 1] - t[start] - HOUR_S) < late
+            if repeats or (restarts and every[every > last].min() - last > FAR * late):
+                return int(start)
     return None

@@ -177,18 +177,10 @@ class RangeDifferenceSensor(AbstractSensor):
 
 
 def difference_tracker(
-    anchors: int,
-    slots: int = 1,
-    planar: bool = False,
-    sigma_a: float = 0.44,
-    sigma_z: float = 0.7,
-    memory: float = 5.5,
-    sigma_d: float = 0.13,
-    dof: float = 1.8,
-    sigma_bias: float = 0.12,
-    time_constant: float = 20.0,
-    length: float = 2.0,
-) -> Tracker:
+    anchors: int, slots: int = 1, planar: bool = False, sigma_a: float = 0.44, sigma_z: float = 0.7,
+    memory: float = 5.5, sigma_d: float = 0.13, dof: float = 1.8, sigma_bias: float = 0.12,
+    time_constant: float = 20.0, length: float = 2.0,
+) -> Tracker:  # fmt: skip
     """Position and velocity from range differences, `slots` to a row; `planar`: at a known height.
 
     Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeDifferenceSensor`. Motion and noise are as in

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -53,6 +54,9 @@ def _column(*numbers):
         ("t;d1;d2\n0;1,5;2,5\n0,1;1,6;1.234,5\n", {"thousands": ".", "decimal": ","}, WIDE, ""),
         ("t,d1,d2,d3\n0,1.5,2.5,N/A\n0.1,1.6,1234.5,-999\n", {"missing": ["N/A", "-999"]}, (*WIDE, "range_m[A3]=d3"),
          "2 cells with N/A, -999 read as missing"),
+        ("t;a;d\n0;A1;1,5\n0;A2;2,5\n0,1;A1;1,6\n0,1;A2;1234,5\n0,2;A1;-1,0\n0,2;A2;-1\n", {"missing": ["-1"], "decimal": ","},
+         ("t_s=t", "anchor=a", "range_m=d"), "2 cells with -1 read as missing"),
+        ("t,d1,d2\n0,1.5,2.5\nt,d1, d2\n0.1,1.6,1234.5\nt,d1,d2\n", {}, WIDE, "2 lines with the header again left out: 3, 5"),
         ("t,d1,d2\r0,1.5,2.5\r\n0.1,1.6,1234.5".encode("utf-16"), {}, WIDE, ""),
         ("t,d1,d2\n0,1.5,2.5\n0.1,1.6,1234.5".encode("utf-16-le"), {"encoding": "utf-16-le"}, WIDE, ""),
         ("t;Länge;d2\n0;1.5;2.5\n0.1;1.6;1234.5\n".encode("cp1252"), {"encoding": "cp1252"}, ("t_s=t", "range_m[A1]=Länge", WIDE[2]), ""),
@@ -94,12 +98,15 @@ def test_json_lines_of_kits_are_rows_for_each_element_or_key(tmp_path, text, col
     [
         ("secs+nsecs*1e-9", "secs,nsecs", ["1777904000,0", "1777904000,500000000"], [NOON, NOON + 0.5]),
         ("date+time in dd.mm.yyyy", "date,time", ["04.05.2026,14:13:20", "04.05.2026,14:13:20.5"], [NOON, NOON + 0.5]),
+        ("date+time - 7200 in iso", "date,time", ["2026-05-04,16:13:20", "2026-05-04,16:13:20.5"], [NOON, NOON + 0.5]),
+        ("when + 86400.5 in hh:mm:ss", "when,x", ["00:00:01,0", "00:00:02,0"], [86401.5, 86402.5]),
         ("when in dd-mmm-yyyy", "when,x", ["04-May-2026 14:13:20,0", "04-may-2026 14:13:20.5,0"], [NOON, NOON + 0.5]),
         ("when in hh:mm:ss", "when,x", ["23:59:59.5,0", "00:00:00.25,0", "23:59:59.75,0"], [86399.5, 86400.25, 86399.75]),
         ("when in matlab", "when,x", ["740106.5,0", "740106.75,0"], [20577.5 * 86400, 20577.75 * 86400]),
         ("day+part in excel", "day,part", ["46146,0.5", "46146,0.75"], [20577.5 * 86400, 20577.75 * 86400]),
         ("a+b", "a+b,a", ["1,5", "2,5"], [1.0, 2.0]),
         ("`a-1` in ms", "a-1,a", ["1000,5", "2000,5"], [1.0, 2.0]),
+        ("`t_ms`", "t_ms,a", ["1,5", "2,5"], [1.0, 2.0]),
         ("when in mm/dd/yyyy", "when,x", ["05/04/2026 14:13:20.000,0"] * 2, [NOON] * 2),
         ("when in dd-mm-yyyy", "when,x", ["04-05-2026T16:13:20+02:00,0"] * 2, [NOON] * 2),
         ("when in iso", "when,x", ["2026-05-04T14:13:20.000000000Z,0"] * 2, [NOON] * 2),
@@ -110,6 +117,11 @@ def test_a_time_is_read_from_two_columns_a_clock_a_date_or_days(tmp_path, expres
     path.write_text(f"{header},d1\n" + "".join(f"{line},1.5\n" for line in cells))
     tables, _ = _read(path, (f"t_s={expression}", "range_m[A1]=d1"))
     np.testing.assert_allclose([row[0] for row in tables["ranges"]], expected, atol=1e-6, rtol=0)
+
+
+def test_marks_of_missing_values_that_a_parquet_file_does_not_have_are_named(tmp_path):
+    pl.DataFrame({"t": [0.0, 1.0], "d1": [1.5, -1.0]}).write_parquet(tmp_path / "log.parquet")
+    assert "--missing is not used" in _read(tmp_path / "log.parquet", WIDE[:2], missing=["-1"])[1]
 
 
 def test_a_column_for_each_anchor_or_pair_becomes_a_row_for_each(tmp_path):
@@ -158,7 +170,7 @@ def test_the_lines_of_a_kit_are_read_by_the_patterns_of_its_preset(tmp_path, tex
     assert said in " ".join(source.notices)
 
 
-CSV = "t_s,tag,id,distance_mm,word,gap\n0,T,A1,1000,1,a\n1,T,A1,1000,oops,\n"
+CSV = "t_s,tag,id,distance,word,gap\n0,T,A1,1000,1,a\n1,T,A1,1000,oops,\n"
 DATES = "t,d1\n{},1\n{},1\n"
 US = "05/04/2026 14:13:20"
 NO_ZONE, ZONE = "2026-05-04T14:13:20", "2026-05-04T14:13:21Z"
@@ -179,21 +191,30 @@ def _when(unit):
         ("log.csv", "t,d1,d2\n\n0,1,N/A\n", {}, r"row 1 \(line 3\), column d2: 'N/A'.*--missing=N/A"),
         ("log.csv", "t,d\0\n", {}, "holds binary data.*--encoding utf-16-le"),
         ("log.csv", CSV, {"columns": ["range_m=d", "range_m=d"]}, "range_m is given twice"),
-        ("log.csv", CSV, {"columns": ["range_m=distance_mm in deg"]}, "unit 'deg' does not fit range_m; expected one of m, dm, cm"),
-        ("log.csv", CSV, {"columns": ["range_m=distance_mm", "anchor=id+tag"]}, "anchor=id.tag of type String; expected text"),
-        ("log.csv", CSV, {"columns": ["anchor=id"]}, "ranges needs range_m.*add --columns 'range_m=distance_mm in UNIT'"),
-        ("log.csv", CSV.replace("1,T,", "1,T2,"), {"columns": ["anchor=id", "range_m=distance_mm"]},
+        ("log.csv", CSV, {"columns": ["range_m=distance in deg"]}, "unit 'deg' does not fit range_m; expected one of m, dm, cm"),
+        ("log.csv", CSV, {"columns": ["range_m=distance", "anchor=id+tag"]}, "anchor=id.tag of type String; expected text"),
+        ("log.csv", CSV, {"columns": ["anchor=id"]}, "ranges needs range_m.*add --columns 'range_m=distance in UNIT'"),
+        ("log.csv", CSV.replace("1,T,", "1,T2,"), {"columns": ["anchor=id", "range_m=distance"]},
          r'the column tag has T2, which --tag T would overwrite; leave it out.*where = { tag = \["T"\] }'),
-        ("log.csv", CSV.replace("1,T,", "1,T2,"), {"columns": ["tag='X9'", "range_m=distance_mm"], "tag": None}, "has T, T2, which"),
+        ("log.csv", CSV.replace("1,T,", "1,T2,"), {"columns": ["tag='X9'", "range_m=distance"], "tag": None}, "has T, T2, which"),
         ("log.csv", DATES.format(US, US), _when("iso"), "no order is guessed: name it, as 't_s=t in mm/dd/yyyy' or 't_s=t in dd/mm/yyyy'"),
         ("log.csv", DATES.format(*["04.05.26 14:13:20"] * 2), _when("dd.mm.yyyy"), "write years in full, from 1900 on, hours of 24"),
         ("log.csv", DATES.format("0001-01-01T00:00:00Z", ZONE), _when("iso"), "write years in full, from 1900 on"),
-        ("log.csv", DATES.format("2:13:20 PM", "14:13:21"), _when("hh:mm:ss"), "write years in full, from 1900 on, hours of 24"),
+        ("log.csv", DATES.format("2:13:20 PM", "14:13:21"), _when("hh:mm:ss"), "write hours of 24, minutes and seconds"),
+        ("log.csv", DATES.format("00:59", "01:00"), _when("hh:mm:ss"), "'00:59'; expected hh:mm:ss, all three in every row"),
+        ("log.csv", DATES.format("12:59:59", "12:61:00"), _when("hh:mm:ss"), "'12:61:00'; expected hh:mm:ss"),
         ("log.csv", "t,d in mm\n0,2710\n", {"columns": [WIDE[0], "range_m=d in mm"]}, "expected `d in mm` in mm, or `d in mm` if"),
+        *(("log.csv", f"{name},t\n0,40\n", {"table": table, "columns": [f"{target}={name}"]}, f"expected `{re.escape(name)}` in {unit}, or")
+          for table, target, name, unit in (("ranges", "range_m[A1]", "Distanz [mm]", "mm"), ("ranges", "range_m[A1]", "d_cm", "cm"),
+                                            ("ranges", "t_s", "t_ms", "ms"), ("bearings", "azimuth_rad", "az (°)", "deg"))),
         ("log.csv", CSV, {"decimal": ",", "thousands": ","}, "--thousands and --decimal: both are ','; expected two marks"),
         ("log.csv", DATES.format(0, 1), {"columns": [WIDE[0], "range_m[A1]=d1+50mm"]}, "range_m=d1.50mm: cannot be read"),
-        ("log.csv", CSV, {"columns": ["anchor=5", "range_m=distance_mm"]}, "anchor=5 .*expected text .*or 'TEXT' for every row"),
-        ("log.csv", CSV, {"columns": ["anchor=id", "range_m=distance_mm"], "where": {"word": [2]}}, "where word = 2 fits no row; found 1, oops"),
+        ("log.csv", CSV, {"columns": ["anchor=5", "range_m=distance"]}, "anchor=5 .*expected text .*or 'TEXT' for every row"),
+        ("log.csv", CSV, {"columns": ["anchor=id", "range_m=distance"], "where": {"word": [2]}}, "where word = 2 fits no row; found 1, oops"),
+        ("log.csv", DATES.format(US, "13/05/2026 14:13:20"), _when("mm/dd/yyyy"), "name it, as 't_s=t in dd/mm/yyyy'$"),
+        ("log.csv", DATES.format(ZONE, ZONE), {"columns": ["t_s=t*2 in iso", WIDE[1]]}, r"t\*2 in iso: expected columns joined by"),
+        ("log.csv", "lat,time,d\n1,0,2\n", {"columns": ["range_m[A1]=d"]}, "needs t_s, .*'t_s=time in UNIT'"),
+        ("log.csv", "t;d1\n0,1;4.51\n", {"columns": ["t_s=t", WIDE[1]], "decimal": ","}, r"'4\.51', .*it has a decimal point"),
         ("log.csv", DATES.format(NO_ZONE, ZONE), _when("iso"), r"line 3\), .*a time zone in all rows or none"),
         ("log.csv", SECONDS, {"table": "truth", "columns": ["t_s=s", "x_m=x", "y_m=y", "z_m=z"]},
          r"column s: 40 poses of tag T, 5 times: the stamps have lost their digits.*t_s=secs\+nsecs\*1e-9"),

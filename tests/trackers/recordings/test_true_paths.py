@@ -5,8 +5,9 @@ import polars as pl
 import pytest
 
 from trackwright.trackers.core.data import HOLE_M, HOLE_S
+from trackwright.trackers.core.errors import UNIX_S
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows, TruePaths, TruthStatus
-from trackwright.trackers.recordings.tables import unwrapped_times
+from trackwright.trackers.recordings.tables import WRAPS, restarted_at, unwrapped_times
 
 
 def _alone(at, times, positions):
@@ -64,11 +65,27 @@ def test_headings_are_unknown_where_the_attitudes_have_a_hole():
     np.testing.assert_allclose(np.remainder(turned + np.pi, 2 * np.pi) - np.pi, 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("period", [2**32 * 1e-6, 2**32 * 1e-3])
-def test_a_counter_of_32_bits_that_wraps_is_unwrapped_and_named(period):
+@pytest.mark.parametrize("period", WRAPS)
+def test_a_counter_or_clock_that_wraps_is_unwrapped_and_named(period):
     t = 0.1 * np.arange(200) + period - 7.0
     found, (notice,) = unwrapped_times(t % period)
     np.testing.assert_allclose(found, t, rtol=1e-9)
-    assert "2³² " in notice
-    for rare in (t, period / 3 * np.arange(9)):
-        assert unwrapped_times(rare)[1] == []
+    assert WRAPS[period] in notice
+    # Rows of one sensor after those of another go back by the length of the recording.
+    ends, blocks = np.tile(np.linspace(0.0, period, 200), 2), np.arange(400) % 200 == 0
+    for rare, begins in ((t, False), (period / 3 * np.arange(9), False), (ends, blocks)):
+        assert unwrapped_times(rare, begins)[1] == []
+
+
+def test_a_clock_that_restarts_is_found_also_where_it_repeats_no_time_but_not_late_or_unsorted_rows():
+    t = 0.1 * np.arange(200)
+    restarts = {
+        "at zero": np.append(t + 30.0, t[:60]), "an hour back": np.append(t + UNIX_S, t - 3580.0 + UNIX_S),
+        "again": np.append(t, t),
+    }  # fmt: skip
+    others = (np.append(t[90:], t[:90]), t[::-1], np.append(t + UNIX_S + 900.0, t + UNIX_S), np.append(t + 30.0, t[:3]))
+    assert {name: restarted_at(times) for name, times in restarts.items()} == dict.fromkeys(restarts, 200)
+    assert all(restarted_at(times) is None for times in others)
+    # An anchor out of reach where one half of a file ends and the other, which stands first, begins.
+    sparse = np.append(t[110:], t[:50])
+    assert (restarted_at(sparse), restarted_at(sparse, t)) == (90, None)
