@@ -14,12 +14,7 @@ from tests.oracles.particle_worlds import (
     halt_batch,
     halt_tracker,
 )
-from tests.oracles.quadrature import (
-    corridor_gradient,
-    corridor_log_likelihood,
-    halt_gradient,
-    halt_log_likelihood,
-)
+from tests.oracles.quadrature import corridor_gradient, corridor_log_likelihood, halt_gradient, halt_log_likelihood
 from trackwright.trackers.core.filters.particle.filter import ParticleFilter
 from trackwright.trackers.core.model.polyline import Polyline
 from trackwright.trackers.core.model.tunable import Scale

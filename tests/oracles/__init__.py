@@ -119,10 +119,7 @@ def beam_jacobian(wavenumbers, azimuth, elevation):
     """The phases (n,) of equation (9) and their hand-derived derivatives with respect to both angles (n, 2)."""
     direction = np.array([np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
     slope = np.array(
-        [
-            [np.cos(azimuth) * np.cos(elevation), -np.sin(azimuth) * np.sin(elevation)],
-            [0.0, np.cos(elevation)],
-        ]
+        [[np.cos(azimuth) * np.cos(elevation), -np.sin(azimuth) * np.sin(elevation)], [0.0, np.cos(elevation)]]
     )
     return wavenumbers @ direction, wavenumbers @ slope
 

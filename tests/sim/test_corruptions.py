@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 
-from trackwright.sim.corruptions import (
-    corrupted,
-    drop_outs,
-    gauss_markov,
-    lose_station,
-    outliers,
-    white_noise,
-)
+from trackwright.sim.corruptions import corrupted, drop_outs, gauss_markov, lose_station, outliers, white_noise
 from trackwright.sim.keys import trajectory_keys
 
 N, T, STATIONS, ANTENNAS = 300, 60, 3, 4

@@ -14,13 +14,7 @@ from trackwright.tuning.fit_warnings import identifiability_issues
 from trackwright.tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from trackwright.tuning.parameters import Parameter, Prior, flatten, select_parameters
 from trackwright.tuning.problem import Evaluation, Problem
-from trackwright.tuning.uncertainty import (
-    Uncertainty,
-    flat_components,
-    kept_at_start,
-    optimum,
-    uncertainty_at,
-)
+from trackwright.tuning.uncertainty import Uncertainty, flat_components, kept_at_start, optimum, uncertainty_at
 
 TYPICAL = 0.5
 

@@ -245,10 +245,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         planar=lambda trajectory, free_height: False,
     ),
     "beam": partial(_per_station, build=_beam),
-    "das": partial(
-        _per_station,
-        build=lambda trajectory, planar: DelayAndSum.of(_station(trajectory), PHASES, planar),
-    ),
+    "das": partial(_per_station, build=lambda trajectory, planar: DelayAndSum.of(_station(trajectory), PHASES, planar)),
     "bearings": partial(
         TrackerSpec,
         trajectories=bearing_trajectories,

@@ -19,11 +19,7 @@ from trackwright.trackers.parts.fixes import ELSEWHERE, FIXES, FixSensor, FixSta
 
 
 def floor_tracker(
-    walls: Walls,
-    sigma_a: float = 1.0,
-    sigma_horizontal: float = 0.1,
-    dof: float | None = 4.0,
-    n_particles: int = 1000,
+    walls: Walls, sigma_a: float = 1.0, sigma_horizontal: float = 0.1, dof: float | None = 4.0, n_particles: int = 1000
 ) -> Tracker:
     """Planar constant velocity from fixes by particles, with weight zero for a particle that crosses a wall.
 

@@ -24,13 +24,7 @@ from trackwright.trackers.core.on_demand import fault_of, from_file, split_name
 from trackwright.trackers.exchange.mapping import ORIGIN, Source, TableMapping, read_mapping
 from trackwright.trackers.exchange.text_tables import Reading, columns_of, parsed, read_rows, sensor_of, texts_of
 from trackwright.trackers.exchange.trajectories import Similarity, read_tum
-from trackwright.trackers.recordings.checks.readings import (
-    Compared,
-    about_vertical,
-    compared,
-    known_median,
-    robust_fit,
-)
+from trackwright.trackers.recordings.checks.readings import Compared, about_vertical, compared, known_median, robust_fit
 from trackwright.trackers.recordings.files import beside, file_bytes
 from trackwright.trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from trackwright.trackers.recordings.kinds import KINDS, table_kinds

@@ -128,11 +128,6 @@ def lacks_two_kinds(folder: RecordingFolder) -> str | None:
     return None if None in missing else missing[0]
 
 
-def independent_kinds(folder: RecordingFolder) -> bool:
-    """Whether a folder has two kinds of readings and no fixes, which a system may have computed from the others."""
-    return FIXES not in folder.tables and len(kinds_of(folder)) > 1
-
-
 def _fused(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     trackers = dict[str, Tracker]()
     for name in trajectory.recording.readings:
@@ -149,7 +144,8 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_fused,
         lacks=lacks_two_kinds,
         geometry=lambda one: tuple((name, KINDS[name].geometry(one)) for name in one.recording.readings),
-        automatic=independent_kinds,
+        # A system may have computed fixes from the other kinds.
+        automatic=lambda folder: FIXES not in folder.tables and len(kinds_of(folder)) > 1,
         every_row=(BEARINGS,),
     )
 }

@@ -27,8 +27,7 @@ def _residual(form, phases, seen, sigma):
 
 
 @pytest.mark.parametrize(
-    ("seen", "free"),
-    [([1, 1, 0, 0], [1]), ([0, 1, 0, 1], [3]), ([1, 1, 1, 0], [1, 2]), ([1, 0, 1, 1], [2, 3])],
+    ("seen", "free"), [([1, 1, 0, 0], [1]), ([0, 1, 0, 1], [3]), ([1, 1, 1, 0], [1, 2]), ([1, 0, 1, 1], [2, 3])]
 )
 def test_the_density_of_a_reading_integrates_to_one_over_the_torus_of_differences(seen, free):
     # The first antenna seen is held at zero, whatever the common offset. The trapezoidal rule on a period is exact

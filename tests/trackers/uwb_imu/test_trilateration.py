@@ -10,12 +10,7 @@ from hypothesis import strategies as st
 from trackwright.trackers.core.data.recording import Readings, Recording
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.parts.ranges import RANGES
-from trackwright.trackers.uwb_imu.trilateration import (
-    compensation,
-    intersections,
-    trilaterate,
-    trilateration_tracker,
-)
+from trackwright.trackers.uwb_imu.trilateration import compensation, intersections, trilaterate, trilateration_tracker
 
 ROUNDING = 1e-11
 

@@ -109,11 +109,7 @@ def _reading(x, y=0.0):
 def test_weights_and_log_likelihood_are_those_of_bayes_rule():
     w = np.array([0.4, 0.3, 0.2, 0.1])
     belief, innovation = _updated(
-        ParticleFilter(4),
-        _still(np.log(w)),
-        ConstantPosition(Constant(1.0), 2),
-        _ruler(0.5),
-        _reading(1.2, 0.1),
+        ParticleFilter(4), _still(np.log(w)), ConstantPosition(Constant(1.0), 2), _ruler(0.5), _reading(1.2, 0.1)
     )
     density = np.exp(-0.5 * ((1.2 - np.arange(4)) ** 2 + 0.1**2) / 0.25) / (2 * np.pi * 0.25)
     np.testing.assert_allclose(np.exp(belief.log_weights), w * density / np.sum(w * density), rtol=1e-12)
