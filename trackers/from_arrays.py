@@ -140,7 +140,8 @@ def bearing_recording(
     values, seen = masked("bearings", bearings, len(times))
     if values.shape[1] != 2:
         raise UnusableInput(f"bearings have {values.shape[1]} columns; expected azimuth and elevation, rad")
-    angles = dict(zip(("azimuth_rad", "elevation_rad"), np.where(seen, values, np.nan).T, strict=True))
+    # Of azimuths alone: below a station, noise takes many elevations beyond a right angle.
+    angles = {"azimuth_rad": np.where(seen, values, np.nan)[:, 0], "elevation_rad": np.full(len(values), np.nan)}
     _refuse_other_units("bearing_recording", seconds(times), Rig("arrays"), "bearings", angles)
     geometry = {key: bearing_inputs(s) for key, s in stations.items()}
     where = np.stack([geometry[s] for s in station])
