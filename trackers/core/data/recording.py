@@ -336,7 +336,7 @@ def masked(what: str, values: Any, rows: int) -> tuple[np.ndarray, np.ndarray]:
     if values.ndim != 2 or len(values) != rows:
         raise UnusableInput(f"{what} have shape {values.shape}; expected ({rows}, n), one row for each time")
     if np.isinf(values).any():
-        raise UnusableInput(f"{what}: row {np.argwhere(np.isinf(values))[0][0]} is infinite; mark what is missing by NaN")
+        raise UnusableInput(f"{what}: row {np.argwhere(np.isinf(values))[0][0]} is infinite; mark missing ones by NaN")
     seen = ~np.isnan(values)
     return np.where(seen, values, 0.0), seen
 
