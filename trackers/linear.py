@@ -254,10 +254,10 @@ def _tracker(
 ) -> Tracker:
     parts = tuple((state or {"x": size}).items())
     mean = np.zeros(size) if x0 is None else floats("x0", x0)
-    if not size or sum(length for _, length in parts) != size or mean.shape != (size,) or not np.isfinite(mean).all():
-        raise UnusableInput(
-            f"a state of {size} numbers with state = {dict(parts)} and x0 = {mean.tolist()}; expected {size} each"
-        )
+    fits = np.isfinite(mean).all() and all(map(str.isidentifier, dict(parts)))
+    if not fits or not size or sum(length for _, length in parts) != size or mean.shape != (size,):
+        found = f"a state of {size} numbers with state = {dict(parts)} and x0 = {mean.tolist()}"
+        raise UnusableInput(f"{found}; expected {size} each, named as variables")
     cov = _covariance("P0", DIFFUSE * np.eye(size) if P0 is None else P0, size)[0]
     noises = R if isinstance(R, Mapping) else {SENSOR: R}
     if set(noises) != set(functions):

@@ -123,7 +123,7 @@ def rows_of(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore)
         table = table.with_columns(tag=pl.lit(""))
     if not truths_of(several):
         names = [str(getattr(recording, "path", None) or recording.name) for recording in several]
-        raise UnusableInput(f"{', '.join(names)}: no truth table; expected one; give recordings that have one")
+        raise UnusableInput(f"{', '.join(names)}: no truth table, nor truth of a `position`; give recordings with it")
     return with_truth(table, several)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Bool, DTypeLike, Float, Shaped, UInt32
 from numpy.typing import ArrayLike
 
 from trackwright.trackers.core.data.frames import recording_html
-from trackwright.trackers.core.errors import UnusableInput, floats, seconds, span
+from trackwright.trackers.core.errors import UnusableInput, floats, one_or_more, seconds, span
 from trackwright.trackers.core.model.inputs import AnyArray, trajectory_key_data
 from trackwright.trackers.core.model.sensor import Reading
 
@@ -286,9 +286,8 @@ def stack(
     """
     if tracker is not None:
         recordings = [trajectory.recording for trajectory in tracker.only_batch(recordings).trajectories]
-    if not len(recordings):
-        raise UnusableInput("stack: found no recording; expected one or more; usual fix: look at how the list is made")
-    return Columns.of(recordings).batch(rows, dtype, seed)
+    several = one_or_more(recordings, (Recording,), "one or more recordings, as of `read(…)` with tracker=")
+    return Columns.of(several).batch(rows, dtype, seed)
 
 
 def check_times(name: str, times: np.ndarray) -> None:
