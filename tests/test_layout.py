@@ -67,10 +67,7 @@ LAYERS = ("text", "jobs", "monte_carlo", "pages", "cli", "lab")
 
 OUTSIDE = {*LIBRARY, "sim", "tuning", "survey"}
 for count, layer in enumerate(LAYERS, 1):
-    MAY_IMPORT[f"experiments.{layer}"] = {
-        *OUTSIDE,
-        *(f"experiments.{below}" for below in LAYERS[:count]),
-    }
+    MAY_IMPORT[f"experiments.{layer}"] = {*OUTSIDE, *(f"experiments.{below}" for below in LAYERS[:count])}
 MAY_IMPORT["experiments."], MAY_IMPORT["experiments.__main__"] = set(), {"experiments.cli"}
 
 

@@ -172,8 +172,7 @@ def _first(rows: Row, dtype: Any) -> Row:
 
 def _identifier(text: str) -> str:
     """The text as a name in C."""
-    name = re.sub(r"\W", "_", text, flags=re.ASCII)
-    return f"x{name}" if name[:1].isdigit() else name
+    return re.sub(r"^(?=\d)", "x", re.sub(r"\W", "_", text, flags=re.ASCII))
 
 
 def _column(path: Any, index: int) -> str:

@@ -279,8 +279,7 @@ def _noise(what: str, given: Matrix, size: int | None, role: Role) -> Any:
         _fits(what, shape, *[size or (shape or (1,))[0]] * 2)
         return _Function({name: Scale(x, "1", role) for name, x in numbers.items()}, function, shape[0])
     matrix, eigenvalues, vectors = _covariance(what, given, size)
-    n = len(matrix)
-    some, regular = np.flatnonzero(np.diag(matrix)).tolist(), eigenvalues[0] > 0.0
+    n, some, regular = len(matrix), np.flatnonzero(np.diag(matrix)).tolist(), eigenvalues[0] > 0.0
     if role == "measurement noise" and not regular:
         raise UnusableInput(f"{what} = {matrix.tolist()} is singular; expected noise in every number of a reading")
     if np.count_nonzero(matrix) == len(some):

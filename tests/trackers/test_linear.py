@@ -173,6 +173,7 @@ def test_a_singular_covariance_in_single_precision_may_be_indefinite_by_rounding
         (lambda: tw.linear(F, H, Q, R, x0=[0.0]), "a state of 2 numbers"),
         (lambda: tw.linear(F, H, Q, R, state={"position": 3}), "a state of 2 numbers"),
         (lambda: tw.linear(F, H, Q, R, state={"my state": 2}), "named as variables"),
+        (lambda: tw.evaluate({"x": [1.0]}, tw.series(Z)), "found dict; expected estimates"),
         (lambda: tw.stack(F), "found ndarray; expected one or more recordings"),
         (lambda: tw.linear(F, H, Q, R, P0=[[1.0, 2.0], [2.0, 1.0]]), "P0 = .* expected a symmetric covariance"),
         (lambda: tw.linear(F, H, 1e-9 * np.array([[1.0, 0.5], [0.0, 1.0]]), R), "Q = .* a symmetric covariance"),
