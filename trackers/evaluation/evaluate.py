@@ -114,10 +114,10 @@ def evaluate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore
 def rows_of(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> pl.DataFrame:
     """The `scored_rows` of estimates; arguments as of `evaluate`. Raises UnusableInput if no recording has a truth."""
     several = _several(recordings)
-    ready = isinstance(estimates, pl.DataFrame)
-    require(ready or hasattr(estimates, "to_polars"), "evaluate", estimates, "estimates, or their table `to_polars()`")
-    table = estimates if ready else estimates.to_polars()
-    if "tag" not in table.columns and not ready:
+    known = isinstance(estimates, pl.DataFrame) or hasattr(estimates, "to_polars")
+    require(known, "evaluate", estimates, "estimates, or their table `to_polars()`")
+    table = estimates if isinstance(estimates, pl.DataFrame) else estimates.to_polars()
+    if "tag" not in table.columns and not isinstance(estimates, pl.DataFrame):
         names = [*getattr(estimates, "names", ())]
         if len({*names}) < len(names) and names != [recording.name for recording in several]:
             found = f"recordings of the run share a name ({', '.join(names)}) and have only their places"
