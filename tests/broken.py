@@ -184,9 +184,7 @@ ANOMALOUS: dict[str, Builder] = {
         "outliers of range_m: 4",
     ),
     "two adjacent outlying fixes": _anomalous(
-        "fixes",
-        lambda table: table.with_columns(_when("T2", "y_m", 1.99, 2.11, pl.lit(-40.0))),
-        "outliers of y_m: 2",
+        "fixes", lambda table: table.with_columns(_when("T2", "y_m", 1.99, 2.11, pl.lit(-40.0))), "outliers of y_m: 2"
     ),
     "zeros for missing ranges": _anomalous(
         "ranges",

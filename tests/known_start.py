@@ -66,8 +66,7 @@ class LinearSensor(AbstractSensor):
 
 def recording(times, readings, mean, cov, inputs=None, name="test"):
     """A recording with the belief of its first row; `readings`: name -> (values, seen) or (values, seen, reported)."""
-    upper = np.asarray(cov)[np.triu_indices(len(cov))]
-    known = {"start_mean": mean, "start_cov": upper}
+    known = {"start_mean": mean, "start_cov": np.asarray(cov)[np.triu_indices(len(cov))]}
     known = {key: np.tile(np.asarray(value, float), (len(times), 1)) for key, value in known.items()}
     return Recording(times, {key: Readings(*r) for key, r in readings.items()}, known | (inputs or {}), name=name)
 

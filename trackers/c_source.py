@@ -144,7 +144,7 @@ def write_c(named: NamedTracker, recording: RecordingFolder, out: Path, double: 
     if len(batches) > 1:
         raise UnusableInput(f"{recording.path}: its tags need {len(batches)} trackers; expected one; choose a --tag")
     first = batches[0].trajectories[0].recording
-    name = re.sub(r"\W", "_", out.stem)
+    name = _identifier(out.stem)
     source = c_source(batches[0].tracker, first, name, f"{named.name} for {recording.name}", double)
     rows = "".join(",".join(map(repr, row)) + "\n" for row in rows_of(first, source.columns).tolist())
     files = {out: source.body, out.with_name(f"{name}.h"): source.header, out.with_suffix(".csv"): rows}
@@ -170,11 +170,16 @@ def _first(rows: Row, dtype: Any) -> Row:
     return row._replace(key=jnp.zeros(2, jnp.uint32), number=jnp.uint32(0))
 
 
+def _identifier(text: str) -> str:
+    """The text as a name in C."""
+    return re.sub(r"^(?=\d)", "x", re.sub(r"\W", "_", text, flags=re.ASCII))
+
+
 def _column(path: Any, index: int) -> str:
     """The name of a number of a row, as `ranges_values_0`."""
     words = [str(getattr(key, "name", getattr(key, "key", ""))) for key in path]
     words = words[1:] if words[0] in ("readings", "inputs") else words
-    return re.sub(r"\W", "_", "_".join(words)) + ("" if words in (["dt"], ["valid"]) else f"_{index}")
+    return _identifier("_".join(words)) + ("" if words in (["dt"], ["valid"]) else f"_{index}")
 
 
 class _Program:
@@ -323,7 +328,7 @@ def _written(
 
     components = component_names(step.shapes[1][0])
     names = [*components, *(f"cov_{k}" for k in range(len(step.shapes[1][1]))), *scan.StepInfo._fields]
-    outputs = [re.sub(r"\W", "_", output) for output in names]
+    outputs = [_identifier(output) for output in names]
     outs = [line.format(*outputs) for line in stored(step.results[len(state) :], "    out->{{{}}} = {};")]
     levels = [f" * {key} = {np.asarray(x.value).tolist()} {x.unit}" for key, x in tunables(tracker).items()]
     functions = {

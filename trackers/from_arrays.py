@@ -17,8 +17,8 @@ import polars as pl
 
 from trackwright.trackers.aoa.fusion import BEARINGS, bearing_inputs
 from trackwright.trackers.aoa.rays import recent_points
-from trackwright.trackers.core.data.recording import Readings, Recording, check_times
-from trackwright.trackers.core.errors import UnusableInput, seconds
+from trackwright.trackers.core.data.recording import Readings, Recording, check_times, known_rows, masked, variances
+from trackwright.trackers.core.errors import UnusableInput, floats, seconds
 from trackwright.trackers.core.model.rig import Rig, Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.parts.fixes import FIXES
@@ -36,9 +36,10 @@ def fix_recording(
 
     With a `height`, for trackers over the floor (`planar=True`), z is masked.
     """
-    values, seen = _masked("positions", positions, len(times))
+    values, seen = masked("positions", positions, len(times))
+    reported = variances(std, values)
     if values.shape[1] == 2:
-        values, seen = np.pad(values, ((0, 0), (0, 1))), np.pad(seen, ((0, 0), (0, 1)))
+        values, seen, reported = (np.pad(x, ((0, 0), (0, 1))) for x in (values, seen, reported))
     if values.shape[1] != 3:
         raise UnusableInput(f"positions have {values.shape[1]} columns; expected x, y or x, y, z")
     if not seen[:, :2].any():
@@ -55,7 +56,7 @@ def fix_recording(
     elif not seen[:, 2].any():
         # A tracker over the floor predicts z from the height; without any z the prediction is compared with nothing.
         height = 0.0
-    readings = {FIXES: Readings(values, seen, _variances(std, values))}
+    readings = {FIXES: Readings(values, seen, reported)}
     return Recording(times, readings, _height(times, height), _truth(truth, len(times)), name)
 
 
@@ -77,36 +78,35 @@ def range_recording(
     (T,) of the anchor of each. Ranges that are not positive are masked. `side`: above or below, where the tag is of
     anchors in one plane.
     """
-    anchors = np.asarray(anchors, float)
+    anchors, heights = floats("anchors", anchors), np.array([np.nan if height is None else height], float)
     if anchors.ndim != 2 or anchors.shape[1] != 3:
         raise UnusableInput(f"anchors have shape {anchors.shape}; expected (A, 3), m")
     _warn_of_map("range_recording", anchors)
     check_times(name, seconds(times))
-    table, truths = np.asarray(ranges, float), _truth(truth, len(times))
-    variances = _variances(std, table)
+    table, truths = floats("ranges", ranges), _truth(truth, len(times))
+    reported = variances(std, table)
     if anchor is None:
         if table.ndim != 2 or table.shape[1] != len(anchors):
             raise UnusableInput(
                 f"ranges have shape {table.shape}; expected (T, {len(anchors)}), one per anchor, or (T,) and anchor="
             )
-        kept = _masked("ranges", table, len(times))[1]
+        kept = masked("ranges", table, len(times))[1]
         if not kept.any():
             raise UnusableInput(f"ranges of shape {table.shape} are all NaN; expected one or more, m")
         row, number = np.nonzero(kept)
-        times, table, variances = seconds(times)[row], table[kept], variances[kept]
+        times, table, reported = seconds(times)[row], table[kept], reported[kept]
         truths = {key: (values[row], known[row]) for key, (values, known) in truths.items()}
     else:
-        number = np.asarray(anchor, int)
-        if table.ndim != 1 or number.shape != table.shape or not np.all((number >= 0) & (number < len(anchors))):
+        number = floats("anchor", anchor)
+        if table.ndim != 1 or number.shape != table.shape or not np.isin(number, np.arange(len(anchors))).all():
             found = f"ranges have shape {table.shape} and anchor {number.shape}"
             raise UnusableInput(f"{found}; expected (T,) both, with anchors 0 to {len(anchors) - 1}")
-    values, seen = _masked("ranges", table[:, None], len(times))
+    values, seen = masked("ranges", table[:, None], len(times))
     seen &= values > 0.0
     rig = Rig("arrays", anchors={str(number): place for number, place in enumerate(anchors)}, side=side)
     _refuse_other_units("range_recording", seconds(times), rig, "ranges", {"range_m": values[seen]})
-    readings = Readings(values, seen, variances[:, None])
-    ends, heights = np.array([0, len(values)]), np.array([np.nan if height is None else height], float)
-    inputs = range_inputs(ends, seconds(times), readings, number, anchors, heights, rig)
+    readings, ends = Readings(values, seen, reported[:, None]), np.array([0, len(values)])
+    inputs = range_inputs(ends, seconds(times), readings, number.astype(int), anchors, heights, rig)
     inputs[ROOM.name] = room_rows(anchors, None, len(values))
     return Recording(times, {RANGES: readings}, inputs | _height(times, height), truths, name)
 
@@ -120,17 +120,22 @@ def bearing_recording(
 
     `station`: (T,) the name of each row's station. `std`: (T, 2) rad.
     """
-    unknown = sorted(set(station) - set(stations))
+    unknown = sorted({str(s) for s in station if s not in stations})
     if unknown or len(station) != len(times):
         raise UnusableInput(
             f"station has {len(station)} names, unknown among them: {', '.join(unknown) or 'none'}; expected "
             f"{len(times)} of {', '.join(stations)}"
         )
-    values, seen = _masked("bearings", bearings, len(times))
+    values, seen = masked("bearings", bearings, len(times))
+    if values.shape[1] != 2:
+        raise UnusableInput(f"bearings have {values.shape[1]} columns; expected azimuth and elevation, rad")
+    # Of azimuths alone: below a station, noise takes many elevations beyond a right angle.
+    angles = {"azimuth_rad": np.where(seen, values, np.nan)[:, 0], "elevation_rad": np.full(len(values), np.nan)}
+    _refuse_other_units("bearing_recording", seconds(times), Rig("arrays"), "bearings", angles)
     geometry = {key: bearing_inputs(s) for key, s in stations.items()}
     where = np.stack([geometry[s] for s in station])
     _warn_of_map("bearing_recording", where[:, :3])
-    reported = np.insert(_variances(std, values), 1, 0.0, axis=1)
+    reported = np.insert(variances(std, values), 1, 0.0, axis=1)
     starts, heights = np.array([0, len(times)]), np.array([np.nan if height is None else height], float)
     nearby = recent_points(starts, seconds(times), where[:, :3], where[:, 3:], values, seen, heights)
     number = np.array([list(stations).index(s) for s in station], float)
@@ -148,7 +153,10 @@ def phase_recording(
 
     One station under the name that `beam_tracker` was given suits that one.
     """
-    readings = {key: Readings(*_masked(f"phases['{key}']", values, len(times))) for key, values in phases.items()}
+    readings = {key: Readings(*masked(f"phases['{key}']", values, len(times))) for key, values in phases.items()}
+    for given in readings.values():
+        columns = {f"phase_{n}_rad": x for n, x in enumerate(np.where(given.seen, given.values, np.nan).T)}
+        _refuse_other_units("phase_recording", seconds(times), Rig("arrays"), "phases", columns)
     return Recording(times, readings, _height(times, height), _truth(truth, len(times)), name)
 
 
@@ -159,7 +167,7 @@ def _refuse_other_units(
 
     Warns of times that may be in milliseconds.
     """
-    for result in rules.check_units(rig, {name: pl.DataFrame(columns)}):
+    for result in rules.check_units(rig, {name: pl.DataFrame(columns).fill_nan(None)}):
         raise UnusableInput(f"{function}: {result.message.replace('from the rig', 'from their middle')}")
     for result in rules.check_times({name: pl.DataFrame({"t_s": times})}, base=False):
         if result.level == "error":
@@ -179,27 +187,6 @@ def _warn_of_map(function: str, points: np.ndarray) -> None:
         )
 
 
-def _masked(what: str, values: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """The values with zeros for NaN, and where there was a number."""
-    values = np.asarray(values, float)
-    if values.ndim != 2 or len(values) != rows:
-        raise UnusableInput(f"{what} have shape {values.shape}; expected ({rows}, n), one row for each time")
-    if np.isinf(values).any():
-        raise UnusableInput(
-            f"{what}: row {int(np.argwhere(np.isinf(values))[0][0])} is infinite; mark what is missing by NaN"
-        )
-    seen = ~np.isnan(values)
-    return np.where(seen, values, 0.0), seen
-
-
-def _variances(std: np.ndarray | None, values: np.ndarray) -> np.ndarray:
-    """The squares of reported standard deviations, zero where there is none."""
-    known = np.zeros(values.shape) if std is None else np.asarray(std, float)
-    if known.shape != values.shape:
-        raise UnusableInput(f"std has shape {known.shape}; expected {values.shape}, as of the measurements")
-    return np.nan_to_num(known) ** 2
-
-
 def _height(times: np.ndarray, height: float | None) -> dict[str, np.ndarray]:
     return {} if height is None else {"height": np.full(len(times), float(height))}
 
@@ -207,8 +194,7 @@ def _height(times: np.ndarray, height: float | None) -> dict[str, np.ndarray]:
 def _truth(truth: np.ndarray | None, rows: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     if truth is None:
         return {}
-    values = np.asarray(truth, float)
-    if values.ndim != 2 or values.shape[0] != rows or values.shape[1] not in (2, 3):
+    values, known = known_rows("truth", truth, rows)
+    if values.shape[1] not in (2, 3):
         raise UnusableInput(f"truth has shape {values.shape}; expected ({rows}, 3), or ({rows}, 2) over the floor")
-    known = np.isfinite(values).all(axis=-1)
-    return {"position": (np.where(known[:, None], values, 0.0), known)}
+    return {"position": (values, known)}

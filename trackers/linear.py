@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trackwright.trackers.core.data.recording import Readings, Recording
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.data.recording import Readings, Recording, known_rows, masked, variances
+from trackwright.trackers.core.errors import UnusableInput, floats, listed
 from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, times, total, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
@@ -60,19 +60,21 @@ def linear(
     state with their lengths in order, as {"position": 2, "velocity": 2}; metrics know `position`. Raises UnusableInput
     for shapes that do not fit.
     """
-    size = len(F) if not callable(F) else None
     sensors = H if isinstance(H, Mapping) else {SENSOR: H}
-    size = size or next((np.shape(h)[1] for h in sensors.values() if not callable(h)), len(() if x0 is None else x0))
+    matrices = [np.atleast_2d(floats("F and H", h)) for h in (F, *sensors.values()) if not callable(h)]
+    size = matrices[0].shape[1] if matrices else len(() if x0 is None else x0)
     forward, control = _product("F", F, size, size), None if B is None else _product("B", B, size)
+    width = "k" if B is None or callable(B) else np.atleast_2d(B).shape[1]
 
     def step(x: Vector, dt: Scalar, inputs: Inputs) -> list[Scalar]:
         moved = forward(x, dt, inputs)
         if control is None:
             return moved
         u = jnp.atleast_1d(jnp.asarray(inputs["u"]))
+        _fits("the input u of a row", u.shape, width)
         return [a + b for a, b in zip(moved, control([u[k] for k in range(len(u))], dt, inputs), strict=True)]
 
-    functions = {name: _product(f"H of {name}", h, None, size) for name, h in sensors.items()}
+    functions = {name: _product(f"H of {name}", h, "m", size) for name, h in sensors.items()}
     return _tracker(step, functions, Q, R, size, x0, P0, state)
 
 
@@ -115,21 +117,15 @@ def series(
     0, 1, 2 …. `std`: standard deviations of the shape of z, which add to R. `inputs`: arrays (T, …) by name, as u=….
     `truth`: (T, d) by the name of a part of the state. Raises UnusableInput for arrays that do not fit.
     """
-    by_sensor, spread = (x if isinstance(x, Mapping) else {SENSOR: x} for x in (z, std))
-    readings = {}
-    for sensor, values in by_sensor.items():
-        values = np.asarray(values, float)
-        values = values[:, None] if values.ndim == 1 else values
-        seen, known = np.isfinite(values), spread.get(sensor)
-        if np.isinf(values).any():
-            raise UnusableInput(f"series: {sensor} has an infinite value; mark what is missing by NaN")
-        variances = np.zeros(values.shape) if known is None else np.nan_to_num(np.reshape(known, values.shape)) ** 2
-        readings[sensor] = Readings(np.where(seen, values, 0.0), seen, variances)
-    rows = len(next(iter(readings.values())).values)
-    known_truth = {key: np.asarray(x, float) for key, x in (truth or {}).items()}
-    present = {key: np.isfinite(x).all(axis=1) for key, x in known_truth.items()}
-    truths = {key: (np.where(present[key][:, None], x, 0.0), present[key]) for key, x in known_truth.items()}
-    given = {key: np.asarray(x, float) for key, x in inputs.items()}
+    by_sensor, spread = (x if isinstance(x, Mapping) else {SENSOR: x} for x in (z, {} if std is None else std))
+    if unknown := [sensor for sensor in spread if sensor not in by_sensor]:
+        raise UnusableInput(f"series: std of {listed(unknown)}; expected that of {listed(by_sensor)}, as of z")
+    readings, rows = {}, len(next(iter(by_sensor.values())) if times is None else times)
+    for sensor, x in by_sensor.items():
+        values, seen = masked(f"series: the values of {sensor}", x, rows)
+        readings[sensor] = Readings(values, seen, variances(spread.get(sensor), values))
+    truths = {key: known_rows(f"series: the truth of {key}", x, rows) for key, x in (truth or {}).items()}
+    given = {key: floats(key, x) for key, x in inputs.items()}
     return Recording(np.arange(float(rows)) if times is None else times, readings, given, truths, name)
 
 
@@ -191,6 +187,8 @@ class _Motion(AbstractMotion):
     def step(self, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
         x = Vector(*(number for part in state for number in part))
         moved = self.function(x, dt, inputs)
+        # An index beyond the end of a jax array is that of its last number.
+        _fits("the state after a step", jnp.asarray(moved).shape, self.noise_dimension)
         rows = enumerate(self.Q.root(dt))  # type: ignore[attr-defined]
         noisy = [total([moved[i], *(times(a, w[j]) for j, a in row.items())]) for i, row in rows]
         return _state(self.parts, [jnp.where(dt > 0, a, b) for a, b in zip(noisy, x, strict=True)])
@@ -215,6 +213,7 @@ class _Sensor(AbstractSensor):
     def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         parts = (getattr(view, name) for name in self.view_fields)
         predicted = self.function(Vector(*(number for part in parts for number in part)), inputs)
+        _fits("a predicted measurement", jnp.asarray(predicted).shape, self.size)
         return [predicted[k] for k in range(self.size)]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
@@ -254,13 +253,12 @@ def _tracker(
     state: Mapping[str, int] | None,
 ) -> Tracker:
     parts = tuple((state or {"x": size}).items())
-    mean = np.zeros(size) if x0 is None else np.asarray(x0, float)
-    cov = DIFFUSE * np.eye(size) if P0 is None else np.asarray(P0, float)
-    if not size or sum(length for _, length in parts) != size or mean.shape != (size,) or cov.shape != (size, size):
-        raise UnusableInput(
-            f"a state of {size} numbers with state = {dict(parts)}, x0 of shape {mean.shape} and P0 {cov.shape}; "
-            f"expected {size} in all and ({size}, {size})"
-        )
+    mean = np.zeros(size) if x0 is None else floats("x0", x0)
+    fits = np.isfinite(mean).all() and all(map(str.isidentifier, dict(parts)))
+    if not fits or not size or sum(length for _, length in parts) != size or mean.shape != (size,):
+        found = f"a state of {size} numbers with state = {dict(parts)} and x0 = {mean.tolist()}"
+        raise UnusableInput(f"{found}; expected {size} each, named as variables")
+    cov = _covariance("P0", DIFFUSE * np.eye(size) if P0 is None else P0, size)[0]
     noises = R if isinstance(R, Mapping) else {SENSOR: R}
     if set(noises) != set(functions):
         raise UnusableInput(f"sensors {', '.join(functions)} and R of {', '.join(noises)}; expected the same names")
@@ -278,43 +276,53 @@ def _noise(what: str, given: Matrix, size: int | None, role: Role) -> Any:
     function, numbers = given if isinstance(given, tuple) else (given, {})
     if callable(function):
         shape = np.shape(function(1.0, **numbers))
-        _square(what, shape, size)
+        _fits(what, shape, *[size or (shape or (1,))[0]] * 2)
         return _Function({name: Scale(x, "1", role) for name, x in numbers.items()}, function, shape[0])
-    matrix = np.atleast_2d(np.asarray(given, float))
-    n = _square(what, matrix.shape, size)
-    eigenvalues, vectors = np.linalg.eigh(matrix)
-    if not np.allclose(matrix, matrix.T, rtol=1e-9) or eigenvalues[0] < -_SINGULAR * eigenvalues[-1]:
-        raise UnusableInput(f"{what} = {matrix.tolist()}; expected a symmetric covariance, positive semidefinite")
-    some, regular = np.flatnonzero(np.diag(matrix)).tolist(), eigenvalues[0] > _SINGULAR * eigenvalues[-1]
+    matrix, eigenvalues, vectors = _covariance(what, given, size)
+    n, some, regular = len(matrix), np.flatnonzero(np.diag(matrix)).tolist(), eigenvalues[0] > 0.0
     if role == "measurement noise" and not regular:
         raise UnusableInput(f"{what} = {matrix.tolist()} is singular; expected noise in every number of a reading")
     if np.count_nonzero(matrix) == len(some):
         return _Rooted(Scale(np.sqrt(np.diag(matrix)[some]), "1", role), tuple(((i, 1.0),) for i in some), n)
     if regular:
         return _Function({"covariance": Covariance(matrix, "1", role)}, lambda dt, covariance: covariance, n)
-    roots = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T[eigenvalues > _SINGULAR * eigenvalues[-1]]
+    roots = (vectors * np.sqrt(eigenvalues)).T[eigenvalues > 0.0]
     columns = tuple(tuple((i, float(x)) for i, x in enumerate(root) if x) for root in roots)
     return _Rooted(Scale(np.ones(1), "1", role), columns, n)
 
 
-def _square(what: str, shape: tuple[int, ...], size: int | None) -> int:
-    if len(shape) != 2 or shape[0] != shape[1] or size not in (None, shape[0]):
-        raise UnusableInput(f"{what} has shape {shape}; expected {(size, size) if size else 'a square matrix'}")
-    return shape[0]
+def _covariance(what: str, given: Any, size: int | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A covariance, its ascending eigenvalues, zero where it is singular, and eigenvectors; raises UnusableInput."""
+    matrix = np.atleast_2d(floats(what, given))
+    _fits(what, matrix.shape, *[size or len(matrix)] * 2)
+    eigenvalues, vectors = np.linalg.eigh(np.nan_to_num(matrix))
+    zero = (1e-6 if getattr(given, "dtype", None) == np.float32 else _SINGULAR) * eigenvalues[-1]
+    symmetric = np.allclose(matrix, matrix.T, rtol=1e-9, atol=zero)
+    if not symmetric or not np.isfinite(matrix).all() or eigenvalues[0] < -zero:
+        raise UnusableInput(f"{what} = {matrix.tolist()}; expected a symmetric covariance, positive semidefinite")
+    return (matrix + matrix.T) / 2, np.where(eigenvalues > zero, eigenvalues, 0.0), vectors
 
 
-def _product(what: str, matrix: Any, rows: int | None, columns: int | None = None) -> Callable[..., list[Scalar]]:
+def _fits(what: str, shape: tuple[int, ...], *expected: int | str) -> None:
+    """Raises UnusableInput for a shape other than the `expected` one, in which a letter is any number."""
+    if len(shape) != len(expected) or any(e not in (n, "m", "k") for n, e in zip(shape, expected, strict=True)):
+        raise UnusableInput(f"{what} has shape {shape}; expected ({', '.join(map(str, expected))})")
+
+
+def _product(what: str, matrix: Any, rows: int | str, columns: int | str = "k") -> Callable[..., list[Scalar]]:
     """The function of a vector and further arguments that multiplies by a matrix, or by what a function returns."""
     if callable(matrix):
 
         def varying(x: Sequence[Scalar], *arguments: Any) -> list[Scalar]:
             array = jnp.asarray(_called(matrix, *arguments))
+            _fits(what, array.shape, rows, len(x))
             return [total(array[i, j] * v for j, v in enumerate(x)) for i in range(array.shape[0])]
 
         return varying
-    array = np.atleast_2d(np.asarray(matrix, float))
-    if array.ndim != 2 or rows not in (None, array.shape[0]) or columns not in (None, array.shape[1]):
-        raise UnusableInput(f"{what} has shape {array.shape}; expected ({rows or 'm'}, {columns or 'k'})")
+    array = np.atleast_2d(floats(what, matrix))
+    _fits(what, array.shape, rows, columns)
+    if not np.isfinite(array).all():
+        raise UnusableInput(f"{what} = {array.tolist()}; expected finite numbers")
     # Zeros and ones cost nothing.
     entries = [{j: float(v) for j, v in enumerate(row) if v} for row in array]
     return lambda x, *_: [total(times(a, x[j]) for j, a in row.items()) for row in entries]

@@ -72,8 +72,7 @@ def corridor_log_likelihood(
 def corridor_gradient(fixes: np.ndarray, points: tuple[int, int] = CORRIDOR_POINTS) -> tuple[float, ...]:
     """d log L / d log σ of the moves and of the fixes."""
     return _gradient(
-        lambda sigma, sigma_fix: corridor_log_likelihood(fixes, sigma, sigma_fix, points),
-        (SIGMA_MOVE, SIGMA_FIX),
+        lambda sigma, sigma_fix: corridor_log_likelihood(fixes, sigma, sigma_fix, points), (SIGMA_MOVE, SIGMA_FIX)
     )
 
 

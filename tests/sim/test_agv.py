@@ -13,8 +13,7 @@ STRAIGHT = (TIMES[:, None] * np.array([0.5, -0.2, 0.1]))[None]
 
 
 def _apply(piece, values=STRAIGHT, n=1):
-    seen = np.ones(values.shape, bool)
-    return piece(trajectory_keys(0, np.arange(n)), TIMES, values, seen)[0]
+    return piece(trajectory_keys(0, np.arange(n)), TIMES, values, np.ones(values.shape, bool))[0]
 
 
 @pytest.mark.parametrize("speed", [0.3, 1.4])
@@ -32,16 +31,14 @@ def test_the_vehicle_keeps_its_speed_within_its_limits(speed):
 def test_the_route_closes_and_is_as_long_as_its_parts():
     route = Route(8.0, 5.0, 0.7)
     assert route.length == pytest.approx(2 * (8 + 5 - 4 * 0.7) + 2 * np.pi * 0.7)
-    s = np.linspace(0, route.length, 20001)
-    places = route.at(s)
+    places = route.at(np.linspace(0, route.length, 20001))
     np.testing.assert_allclose(places[0], places[-1], atol=1e-12)
     assert np.linalg.norm(np.diff(places, axis=0), axis=1).sum() == pytest.approx(route.length, rel=1e-6)
     np.testing.assert_allclose(np.abs(places).max(axis=0), [4.0, 2.5])
 
 
 def test_noise_has_the_papers_covariance():
-    noise = _apply(correlated_noise(STILL), np.zeros((50, 400, 3)), 50)
-    found = np.cov(noise.reshape(-1, 3).T)
+    found = np.cov(_apply(correlated_noise(STILL), np.zeros((50, 400, 3)), 50).reshape(-1, 3).T)
     # 20,000 draws: a covariance is known to about 1/100 of the product of its two sigmas, here four times that.
     sigmas = np.sqrt(np.diag(STILL))
     assert np.abs((found - STILL) / np.outer(sigmas, sigmas)).max() < 0.04

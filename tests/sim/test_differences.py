@@ -29,8 +29,7 @@ def test_without_errors_the_differences_are_those_of_the_distances(schedule, row
 def test_the_differences_of_a_message_share_the_noise_of_its_reference():
     number, errors = _errors(corruptions={"white": white_noise(0.1)})
     assert not number[:, 1].any()
-    of_messages = errors.reshape(-1, 7)
-    covariance = np.cov(of_messages.T)
+    covariance = np.cov(errors.reshape(-1, 7).T)
     # 1,800 messages know a variance to 3 %.
     np.testing.assert_allclose(np.diag(covariance), 0.02, rtol=0.15)
     np.testing.assert_allclose(covariance[np.triu_indices(7, 1)], 0.01, rtol=0.2)

@@ -10,8 +10,7 @@ def _moving(world):
     """Start and end of every tag's trip, s."""
     arclength = world.arclength
     first = np.argmax(arclength > 1e-9, axis=1)
-    last = np.argmax(arclength >= arclength[:, -1:] - 1e-9, axis=1)
-    return world.times[first], world.times[last]
+    return world.times[first], world.times[np.argmax(arclength >= arclength[:, -1:] - 1e-9, axis=1)]
 
 
 @pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])

@@ -21,8 +21,7 @@ def _deviations(simulated, ideal):
 @pytest.mark.parametrize("target", [(0.0, 0.0, 0.0), (3.0, 1.0, 2.0), (0.0, 1.0, 5.0), (-2.0, 0.3, 2.0)])
 def test_a_station_faces_its_target_with_its_y_axis_up(target):
     position, up = np.array([0.0, 0.0, 2.0]), np.array([0.0, 1.0, 0.2])
-    world_from_array = Station(position, facing(position, np.array(target), up)).world_from_array()
-    x, y, z = world_from_array.T
+    x, y, z = Station(position, facing(position, np.array(target), up)).world_from_array().T
     np.testing.assert_allclose(z * np.linalg.norm(target - position), target - position, atol=1e-12)
     np.testing.assert_allclose(np.cross(x, y), z, atol=1e-12)
     assert x @ up == pytest.approx(0, abs=1e-12)
@@ -87,8 +86,7 @@ def test_plane_phases_are_those_of_the_stations_angles():
 
 def test_an_antenna_nearer_to_the_beacon_is_ahead_by_its_shorter_path():
     station = Station(np.zeros(3), np.array([1.0, 0, 0, 0]), np.array([[0.0, 0.0], [0.001, 0.0]]), 0.0125)
-    beacon = np.array([0.5, 0.0, 1.0])
-    first, second = spherical_phases([station], beacon)[0]
+    first, second = spherical_phases([station], np.array([0.5, 0.0, 1.0]))[0]
     path = np.hypot(0.5, 1.0) - np.hypot(0.499, 1.0)
     assert path > 0
     assert wrapped((second - first)[None]) == pytest.approx(2 * np.pi / 0.0125 * path, abs=1e-9)

@@ -61,6 +61,12 @@ def test_the_program_gives_the_estimates_and_statuses_of_run(world, name, tmp_pa
     np.testing.assert_allclose(found[usable, -5], np.asarray(expected.log_likelihood)[usable], rtol=1e-6, atol=1e-6)
 
 
+def test_a_sensor_whose_name_begins_with_a_digit_has_a_name_in_c(tmp_path):
+    tracker, recording = tw.linear(1.0, {"1": 1.0}, 1.0, {"1": 1.0}), tw.series({"1": np.arange(9.0)})
+    found = _replayed(c_source(tracker, recording, "tag", double=True), recording, tmp_path)
+    np.testing.assert_allclose(found[:, 0], tracker.run(recording).mean.x[0])
+
+
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_single_precision_compiles_without_a_warning_and_agrees_to_its_rounding(compiler, tmp_path):
     batch = _batch("ranges", "uwb")

@@ -46,6 +46,13 @@ def test_reported_standard_deviations_of_fixes_become_variances():
     reported = tw.baselines.fix_recording(TIMES, PATH, std=std).readings[FIXES].reported
     np.testing.assert_allclose(reported, [[0.01, 0.04, 0.09], [0.0, 0.04, 0.09], [0.16, 0.04, 0.09]])
     np.testing.assert_array_equal(tw.baselines.fix_recording(TIMES, PATH).readings[FIXES].reported, 0.0)
+    flat = tw.baselines.fix_recording(TIMES, PATH[:, :2], std=std[:, :2]).readings[FIXES].reported
+    np.testing.assert_array_equal(flat, reported * [1, 1, 0])
+
+
+def test_what_an_array_masks_is_missing():
+    hidden = np.ma.array(np.nan_to_num(PATH, nan=-1.0), mask=np.isnan(PATH))
+    np.testing.assert_array_equal(tw.baselines.fix_recording(TIMES, hidden).readings[FIXES].seen, np.isfinite(PATH))
 
 
 def test_truth_with_a_missing_coordinate_is_unknown_and_zero():
@@ -99,6 +106,7 @@ def test_rows_of_arrays_are_those_of_the_same_table_in_a_folder(name):
 
 
 HALL = np.array([[0.0, 0.0, 2.0], [8.0, 0.0, 2.5], [8.0, 6.0, 2.0], [0.0, 6.0, 2.5]])
+STATION = tw.Station(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 RANGES_M = np.linalg.norm(HALL - np.array([3.0, 2.0, 1.0]), axis=1) * np.ones((3, 1))
 
 
@@ -165,6 +173,11 @@ def unchecked():
         (lambda: tw.tracker_for(pl.DataFrame({"x": [1.0]})), "found DataFrame; expected one or more recording folders"),
         (lambda: tw.survey("walk"), "found str; expected one or more recording folders, as `read`"),
         (lambda: tw.Scale(-1.0), "a Scale is positive"),
+        (lambda: tw.baselines.fix_recording(TIMES, PATH, std=-PATH), "std has -1.0; expected 0 or more"),
+        (lambda: tw.baselines.fix_recording(["a", "b", "c"], PATH), "times: could not convert string"),
+        (lambda: tw.aoa.phase_recording(TIMES, {"a": 60 * PATH}), "phase_recording: .* looks like degrees"),
+        (lambda: tw.aoa.bearing_recording(TIMES, 60 * PATH[:, :2], "aaa", {"a": STATION}), "looks like degrees"),
+        (lambda: tw.uwb_imu.range_recording(TIMES, TIMES + 1, HALL, anchor=[0, 1, 1.5]), "anchors 0 to 3"),
     ],
 )
 def test_arguments_of_another_kind_are_refused_as_unusable_input(make, words, unchecked):

@@ -90,6 +90,12 @@ CASES = {
         [(F, Q, 0.0)] * 40,
         [[(np.atleast_1d(a), H, R), (b, TWO, Q)] for a, b in zip(Z, SLOW, strict=True)],
     ),
+    "masked": (
+        _linear(F, H, Q, R),
+        tw.series(np.ma.array(np.nan_to_num(Z, nan=-999.0), mask=np.isnan(Z)), truth={"x": np.ones((40, 2))}),
+        [(F, Q, 0.0)] * 40,
+        _rows(Z),
+    ),
     "reported": (_linear(F, H, Q, R), tw.series(Z, std=np.full(40, 0.7)), [(F, Q, 0.0)] * 40, _rows(Z, r=R + 0.49)),
     "precise": (_linear(F, H, Q, [[1e-9]]), tw.series(Z), [(F, Q, 0.0)] * 40, _rows(Z, r=np.array([[1e-9]]))),
 }
@@ -145,6 +151,12 @@ def test_parts_of_the_state_have_names_and_positions_are_scored():
     tw.check_sensor(tracker.sensors["z"], state)
 
 
+def test_a_singular_covariance_in_single_precision_may_be_indefinite_by_rounding():
+    rounded = np.outer([1.0, 0.3], [1.0, 0.3]).astype(np.float32)
+    assert np.linalg.eigvalsh(rounded.astype(float))[0] < -1e-9
+    assert _linear(F, H, rounded, R).motion.Q.sigma.value == 1.0
+
+
 @pytest.mark.parametrize(
     ("make", "phrase"),
     [
@@ -155,7 +167,18 @@ def test_parts_of_the_state_have_names_and_positions_are_scored():
         (lambda: tw.linear(F, {"a": H}, Q, R), "sensors a and R of z; expected the same names"),
         (lambda: tw.linear(F, H, Q, R, x0=[0.0]), "a state of 2 numbers"),
         (lambda: tw.linear(F, H, Q, R, state={"position": 3}), "a state of 2 numbers"),
-        (lambda: tw.series([1.0, np.inf]), "z has an infinite value"),
+        (lambda: tw.linear(F, H, Q, R, state={"my state": 2}), "named as variables"),
+        (lambda: tw.evaluate({"x": [1.0]}, tw.series(Z)), "found dict; expected estimates"),
+        (lambda: tw.stack(F), "found ndarray; expected one or more recordings"),
+        (lambda: tw.linear(F, H, Q, R, P0=[[1.0, 2.0], [2.0, 1.0]]), "P0 = .* expected a symmetric covariance"),
+        (lambda: tw.linear(F, H, 1e-9 * np.array([[1.0, 0.5], [0.0, 1.0]]), R), "Q = .* a symmetric covariance"),
+        (lambda: _linear(F, TWO, Q, R).run(tw.series(Z)), r"predicted measurement has shape \(2,\); expected \(1\)"),
+        (lambda: _linear(lambda dt: jnp.eye(3), H, Q, R).run(tw.series(Z)), r"F has shape \(3, 3\); expected \(2, 2\)"),
+        (lambda: _linear(F, H, Q, R, B=B).run(tw.series(Z, u=np.ones((40, 2)))), "u of a row has shape"),
+        (lambda: tw.nonlinear(lambda x, dt: x[:1], lambda x: x[:1], Q, R, x0=X0).run(tw.series(Z)), "after a step"),
+        (lambda: tw.series(np.ones((40, 2)), std=np.ones((2, 40))), r"std has shape \(2, 40\); expected \(40, 2\)"),
+        (lambda: tw.series({"a": Z}, std=np.ones(40)), "std of z; expected that of a"),
+        (lambda: tw.series([1.0, np.inf]), "values of z: row 1 is infinite"),
         (lambda: _linear(F, H, Q, R, B=B).run(tw.series(Z)), "u"),
         (lambda: _linear(F, H, Q, R).run(tw.series({"y": Z})), "z"),
     ],

@@ -118,8 +118,7 @@ class BeamStart(AbstractStart):
 
     def candidate(self, sensors: Any, row: Row) -> Any:
         reading = row.readings[self.station]
-        calibrated = reading.values - sensors[self.station].offsets.value
-        return direction(self.grid, calibrated, reading.seen)
+        return direction(self.grid, reading.values - sensors[self.station].offsets.value, reading.seen)
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         angle, rate = self.sigma_angle.value**2, self.sigma_rate.value**2
@@ -198,7 +197,6 @@ class DelayAndSum(AbstractEpochwiseTracker):
         in_plane = angles.shape[1] == 1
         mean = InPlaneBeam(Heading(angles[:, 0]), zero) if in_plane else Beam(angles[:, 0], angles[:, 1], zero, zero)
         cov = tuple(zero + jnp.nan for _ in triangle(2 if in_plane else 4))
-        enough = jnp.sum(reading.seen, axis=1) >= 3
-        status = jnp.where(enough, Status.OK, Status.WAITING)
+        status = jnp.where(jnp.sum(reading.seen, axis=1) >= 3, Status.OK, Status.WAITING)
         status = jnp.where(jnp.asarray(batch.valid), status, Status.PADDING).astype(jnp.int8)
         return Output(mean, cov, zero, zero, zero, zero, status), ()

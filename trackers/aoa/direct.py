@@ -58,8 +58,7 @@ class PhaseStart(AbstractStart):
         rays = []
         for name, grid in self.grids.items():
             sensor, reading = sensors[name], row.readings[name]
-            calibrated = reading.values - sensor.offsets.value
-            beam = unit_vector(*direction(grid, calibrated, reading.seen))
+            beam = unit_vector(*direction(grid, reading.values - sensor.offsets.value, reading.seen))
             rays.append((sensor.origin, product(sensor.array_from_world.T, beam), jnp.sum(reading.seen) >= 3))
         return nearest_to_rays(rays, jnp.asarray(self.centre), row.inputs["height"] if self.planar else None)
 

@@ -96,8 +96,7 @@ class AbstractPhaseSensor(AbstractSensor):
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """The n centred phases over `sigma_p`, by the default form or the paper's."""
-        form = pairwise if self.paper_form else centred
-        return form(reading, predicted, self.sigma_p.value)
+        return (pairwise if self.paper_form else centred)(reading, predicted, self.sigma_p.value)
 
 
 class AbstractPlanePhases(AbstractPhaseSensor):

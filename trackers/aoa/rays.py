@@ -68,8 +68,7 @@ def recent_points(
     ray, plane = np.eye(3) - direction[:, :, None] * direction[:, None, :], normal[:, :, None] * normal[:, None, :]
     projection = np.where(seen[:, None, None], np.where(both, ray, plane), 0.0)
     lengths = np.diff(starts)
-    begin = np.repeat(starts[:-1], lengths)
-    first = first_not_before(times, begin, np.arange(len(times)), times - WINDOW_S)
+    first = first_not_before(times, np.repeat(starts[:-1], lengths), np.arange(len(times)), times - WINDOW_S)
     information, sums, counts = (
         _windowed(x, starts, first)
         for x in (projection, np.einsum("tij,tj->ti", projection, origins), seen.astype(float))

@@ -80,8 +80,7 @@ class Walls(AbstractPotential):
     def _inside(self, position: Any) -> Scalar:
         """Whether a position lies inside the outline: a ray in +x crosses an odd number of its edges."""
         a, b = self.outline.T, jnp.roll(self.outline, -1, axis=0).T
-        rises = b[1] > a[1]
-        passes = ((a[1] > position[1]) != (b[1] > position[1])) & (_left(a, b, position) == rises)
+        passes = ((a[1] > position[1]) != (b[1] > position[1])) & (_left(a, b, position) == (b[1] > a[1]))
         return jnp.sum(passes.astype(jnp.int32)) % 2 == 1
 
 

@@ -85,6 +85,16 @@ def numbers_of(kind: str, value: Any) -> np.ndarray:
     return numbers.astype(float)
 
 
+def floats(what: str, values: Any) -> np.ndarray:
+    """The values as floats, NaN where an array masks them; raises UnusableInput for anything but numbers."""
+    import numpy as np
+
+    try:
+        return np.ma.filled(np.ma.asarray(values, float), np.nan)
+    except (TypeError, ValueError) as error:
+        raise UnusableInput(f"{what}: {error}; expected an array of numbers, NaN for what is missing") from None
+
+
 def one_or_more(given: Any, kinds: tuple[type[T], ...], expected: str) -> list[T]:
     """One object of these kinds, or an iterable of some, as a list; raises UnusableInput for anything else."""
     items = list(given) if isinstance(given, Iterable) and not isinstance(given, kinds) else [given]
@@ -134,7 +144,7 @@ def seconds(times: Any) -> np.ndarray:
         fine = values.astype(f"{'datetime64' if values.dtype.kind == 'M' else 'timedelta64'}[ns]").astype(np.int64)
         values = np.where(missing, np.nan, fine // 10**9 + (fine % 10**9) / 1e9)
     else:
-        return np.asarray(values, np.float64)
+        return floats("times", times)
     if np.isnan(values).any():
         raise UnusableInput(f"times[{int(np.argmax(np.isnan(values)))}] is missing (NaT); leave the row out")
     return values

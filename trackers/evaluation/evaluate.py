@@ -21,6 +21,7 @@ from trackwright.trackers.core.errors import (
     near,
     numbered_names,
     one_or_more,
+    require,
     significant,
 )
 from trackwright.trackers.evaluation.metrics import added, metrics, sums
@@ -113,6 +114,8 @@ def evaluate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore
 def rows_of(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> pl.DataFrame:
     """The `scored_rows` of estimates; arguments as of `evaluate`. Raises UnusableInput if no recording has a truth."""
     several = _several(recordings)
+    known = isinstance(estimates, pl.DataFrame) or hasattr(estimates, "to_polars")
+    require(known, "evaluate", estimates, "estimates, or their table `to_polars()`")
     table = estimates if isinstance(estimates, pl.DataFrame) else estimates.to_polars()
     if "tag" not in table.columns and not isinstance(estimates, pl.DataFrame):
         names = [*getattr(estimates, "names", ())]
@@ -123,7 +126,7 @@ def rows_of(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore)
         table = table.with_columns(tag=pl.lit(""))
     if not truths_of(several):
         names = [str(getattr(recording, "path", None) or recording.name) for recording in several]
-        raise UnusableInput(f"{', '.join(names)}: no truth table; expected one; give recordings that have one")
+        raise UnusableInput(f"{', '.join(names)}: no truth table, nor truth of a `position`; give recordings with it")
     return with_truth(table, several)
 
 

@@ -114,8 +114,7 @@ def _latest(here: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """The last of the rows `here` (N,), −1 for none, up to each row of its tag, or else the tag's first one."""
     has = here >= 0
     before = np.repeat(np.append(0, np.cumsum(has))[starts[:-1]], np.diff(starts))
-    number = np.maximum(np.cumsum(has) - 1, before)
-    return here[has][np.minimum(number, has.sum() - 1)]
+    return here[has][np.clip(np.cumsum(has) - 1, before, has.sum() - 1)]
 
 
 def lacks_two_kinds(folder: RecordingFolder) -> str | None:
@@ -126,11 +125,6 @@ def lacks_two_kinds(folder: RecordingFolder) -> str | None:
         return f"two of the tables {', '.join(KINDS)}, found {found}"
     missing = [KINDS[name].missing(folder) for name in kinds]
     return None if None in missing else missing[0]
-
-
-def independent_kinds(folder: RecordingFolder) -> bool:
-    """Whether a folder has two kinds of readings and no fixes, which a system may have computed from the others."""
-    return FIXES not in folder.tables and len(kinds_of(folder)) > 1
 
 
 def _fused(trajectory: Trajectory, planar: bool) -> AbstractTracker:
@@ -149,7 +143,8 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=_fused,
         lacks=lacks_two_kinds,
         geometry=lambda one: tuple((name, KINDS[name].geometry(one)) for name in one.recording.readings),
-        automatic=independent_kinds,
+        # A system may have computed fixes from the other kinds.
+        automatic=lambda folder: FIXES not in folder.tables and len(kinds_of(folder)) > 1,
         every_row=(BEARINGS,),
     )
 }

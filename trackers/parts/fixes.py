@@ -198,11 +198,8 @@ class FixStart(AbstractStart):
         n = 2 if self.planar else 3
         zero = jnp.zeros_like(candidate[0])
         position_variance, velocity_variance = self.sigma_position.value**2, self.sigma_velocity.value**2
-        variances = [
-            position_variance,
-            position_variance,
-            jnp.where(row.readings[FIXES].seen[2], position_variance, 1e8),
-        ][:n]
+        height_variance = jnp.where(row.readings[FIXES].seen[2], position_variance, 1e8)
+        variances = [position_variance, position_variance, height_variance][:n]
         position, velocity = Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * self.velocities)
         cov = diagonal([*variances, *[velocity_variance] * (self.velocities + self.accelerations)], zero)
         if self.accelerations:

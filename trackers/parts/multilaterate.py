@@ -169,8 +169,7 @@ def recent_positions(
     not determine the position.
     """
     result = np.zeros((len(times), 4))
-    tag = np.repeat(np.arange(len(heights)), np.diff(starts))
-    row_heights = heights[tag]
+    row_heights = np.repeat(heights, np.diff(starts))
     latest = latest_rows(starts, numbers, seen, len(anchors))
     for window in WINDOWS_S:
         rows = np.flatnonzero(result[:, 3] == 0)

@@ -65,8 +65,7 @@ class Singer(AbstractMotion):
         E, t, T, A, B, D = singer_terms(h)
         # sqrt(dt) is a separate factor: it has no derivative at zero, and none is taken with respect to dt.
         k = self.sigma_a.value * jnp.sqrt(2.0 / self.tau.value) * jnp.sqrt(dt)
-        root = jnp.sqrt(T)
-        first_kick = first * (k * root / (1.0 + t))
+        first_kick = first * (k * jnp.sqrt(T) / (1.0 + t))
         second_kick = second * (0.5 * k * dt * jnp.sqrt(A))
         a = state.acceleration
         velocity = state.velocity + a * (dt * T / (1.0 + t)) + first_kick * (0.5 * dt * T) + second_kick

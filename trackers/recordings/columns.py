@@ -177,8 +177,7 @@ class TruePaths:
         # In the order of np.interp.
         slope = (there - here) / np.where(span > 0.0, span, 1.0)[:, None]
         position[inside] = slope * (asked - self.times[before])[:, None] + here
-        moved = np.sqrt(np.nansum((there - here) ** 2, axis=1))
-        hole = (span > HOLE_S) & (moved > HOLE_M)
+        hole = (span > HOLE_S) & (np.sqrt(np.nansum((there - here) ** 2, axis=1)) > HOLE_M)
         position[inside[hole]] = np.nan
         status[inside] = np.where(hole, TruthStatus.HOLE, TruthStatus.SCORED)
         return position, status

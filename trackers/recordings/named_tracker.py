@@ -56,11 +56,6 @@ def faults_named(tracker: str, name: str, function: Callable[..., Any]) -> Itera
         raise UnusableInput(f"{tracker}: {name} failed ({fault_of(error, file)}); correct {file.name}") from error
 
 
-def at_known_height(trajectory: Trajectory, free_height: bool) -> bool:
-    """Whether a tag's height is known and to be used, so that only its position over the floor is estimated."""
-    return not free_height and known_height(trajectory.folder, trajectory.tag) is not None
-
-
 @dataclass(frozen=True)
 class TrackerSpec:
     """A tracker of the catalogue, or a user's own.
@@ -83,7 +78,7 @@ class TrackerSpec:
     build: Callable[[Trajectory, bool], AbstractTracker]
     lacks: Callable[[RecordingFolder], str | None] | None = None
     geometry: Callable[[Trajectory], Hashable] = lambda trajectory: ()
-    planar: Callable[[Trajectory, bool], bool] = at_known_height
+    planar: Callable[[Trajectory, bool], bool] = lambda x, free: not free and known_height(x.folder, x.tag) is not None
     notices: Callable[[RecordingFolder, bool], Iterable[str]] = lambda folder, free_height: ()
     automatic: Callable[[RecordingFolder], bool] = lambda folder: True
     bearing_only: bool = False

@@ -117,7 +117,9 @@ def trajectories_of(
         truth["direction"][0][rows] = folder.rig.stations[station].angles(position[rows])
     heights = np.repeat(np.nan_to_num(known_heights(folder, tags)), np.diff(starts))
     names = [f"{folder.name}, tag {tag}" for tag in tags]
-    ids = trajectory_ids(folder.name, tags, station_names)
+    # Random numbers do not depend on the others that run with it.
+    texts = (f"{folder.name}\0{tag}\0{station}".encode() for tag, station in zip(tags, station_names, strict=True))
+    ids = [int.from_bytes(blake2b(text, digest_size=8).digest(), "little") for text in texts]
     columns = Columns(starts, times, readings, {**inputs, "height": heights}, truth, names, ids)
     return Trajectories([folder] * len(tags), tags, station_names, columns)
 
@@ -147,12 +149,6 @@ def cut(recording: Recording, start: int, stop: int) -> Recording:
     segment_id = None if recording.id is None else (recording.id + int(start)) % 2**64
     rows = each_array(recording, lambda x: x[start:stop])
     return Recording(recording.times[start:stop], *rows, recording.name, segment_id)
-
-
-def trajectory_ids(folder: str, tags: Sequence[str], stations: Sequence[str]) -> list[int]:
-    """The ids of trajectories of a recording folder: random numbers do not depend on the others that run with it."""
-    texts = (f"{folder}\0{tag}\0{station}".encode() for tag, station in zip(tags, stations, strict=True))
-    return [int.from_bytes(blake2b(text, digest_size=8).digest(), "little") for text in texts]
 
 
 def with_floor_truth(trajectory: Trajectory) -> Trajectory:

@@ -207,11 +207,6 @@ def lacks_ranges_or_imu(folder: RecordingFolder) -> str | None:
     return None if count >= MIN_ANCHORS else f"ranges to at least {MIN_ANCHORS} anchors, found {count}"
 
 
-def lacks_differences_or_imu(folder: RecordingFolder) -> str | None:
-    """What a folder lacks for the tracker of range differences and an IMU, in words."""
-    return lacks_differences(folder) or (None if "imu" in folder.tables else "an imu table, found no such table")
-
-
 def _lacks_bodies(folder: RecordingFolder) -> str | None:
     """What a folder lacks for the tracker of bodies, in words."""
     if "ranges" not in folder.tables:
@@ -281,7 +276,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
             inertial_difference_tracker(anchors_of(trajectory), slots_of(trajectory), planar), lasting_errors=True
         ),
         notices=partial(tilting_tags, read=TDOA, without=TDOA),
-        lacks=lacks_differences_or_imu,
+        lacks=lambda of: lacks_differences(of) or (None if "imu" in of.tables else "an imu table, found no such table"),
         geometry=lambda trajectory: (anchors_of(trajectory), slots_of(trajectory)),
     ),
 }

@@ -18,8 +18,7 @@ from trackwright.trackers.recordings.files import write_whole
 @pytest.fixture(scope="module")
 def truth(beginnings):
     """The truth of tag T1 of the good recording."""
-    table = pl.read_csv(beginnings / "good" / "truth.csv")
-    return table.filter(pl.col("tag") == "T1")
+    return pl.read_csv(beginnings / "good" / "truth.csv").filter(pl.col("tag") == "T1")
 
 
 @pytest.fixture(scope="module")

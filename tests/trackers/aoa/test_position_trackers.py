@@ -114,8 +114,7 @@ def _points(times, origins, axes, angles, seen, height):
 
 def _square_distances(points, origins, directions):
     """Of points (…, 3) from rays, by the cross product: Σ |(p − o) × u|²."""
-    away = np.cross(points[..., None, :] - origins, directions)
-    return (away**2).sum(axis=(-1, -2))
+    return (np.cross(points[..., None, :] - origins, directions) ** 2).sum(axis=(-1, -2))
 
 
 def _directions(angles, turn):
@@ -186,8 +185,7 @@ def test_one_steep_ray_is_enough_at_a_known_height():
 
 @pytest.mark.parametrize("height", [None, 1.2])
 def test_the_point_nearest_to_beams_is_the_stacked_least_squares(height):
-    rng = np.random.default_rng(6)
-    _, origins, _, angles, turn = _rays(rng, 4, 0.03)
+    _, origins, _, angles, turn = _rays(np.random.default_rng(6), 4, 0.03)
     directions, counts = _directions(angles, turn), np.array([True, True, False, True])
     centre = np.array([2.5, 2.0, 1.0])
     rays = [(jnp.asarray(o), jnp.asarray(u), c) for o, u, c in zip(origins, directions, counts, strict=True)]

@@ -58,8 +58,7 @@ def test_the_interval_contains_the_true_difference_nineteen_times_in_twenty():
 
 
 def test_runs_are_compared_over_the_tracks_and_times_that_both_have():
-    rng = np.random.default_rng(3)
-    first, second = _lasting(rng, 900, 2)
+    first, second = _lasting(np.random.default_rng(3), 900, 2)
     a, b = _run(first), _run(second[:450])
     found = paired_differences(pl.concat([a, _run(first * 50, "other")]), b, ("rmse_m",))["rmse_m"]
     assert found.first == pytest.approx(np.sqrt(np.mean(np.sum(first[:450] ** 2, axis=-1))), rel=0.02)

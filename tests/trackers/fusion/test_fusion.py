@@ -140,8 +140,7 @@ def _folder(ranges, azimuths, elevation=False, height=1.1, later=0.0):
 def test_one_anchor_that_reports_distance_and_angle_is_enough(elevation, height):
     folder = _folder("A", "A", elevation, height)
     assert fitting(folder) == "fusion"
-    table = build("fusion", folder).run(folder).to_polars()
-    known = table.filter(pl.col("x_m").is_not_null())
+    known = build("fusion", folder).run(folder).to_polars().filter(pl.col("x_m").is_not_null())
     assert known["t_s"][0] <= 0.2
     errors = known.select("x_m", "y_m").to_numpy() - PATH[-len(known) :, :2]
     # Azimuths of stations that are not calibrated count little: 0.22 rad at 5 m.

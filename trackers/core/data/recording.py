@@ -16,7 +16,7 @@ from jaxtyping import Bool, DTypeLike, Float, Shaped, UInt32
 from numpy.typing import ArrayLike
 
 from trackwright.trackers.core.data.frames import recording_html
-from trackwright.trackers.core.errors import UnusableInput, seconds, span
+from trackwright.trackers.core.errors import UnusableInput, floats, one_or_more, seconds, span
 from trackwright.trackers.core.model.inputs import AnyArray, trajectory_key_data
 from trackwright.trackers.core.model.sensor import Reading
 
@@ -150,12 +150,8 @@ class Columns:
     def of(cls, recordings: Sequence[Recording]) -> Columns:
         """The rows of recordings; raises UnusableInput where these differ in the names or shapes of their arrays."""
         starts = np.cumsum([0, *(len(r) for r in recordings)])
-        return cls(
-            starts,
-            *_joined_rows(recordings, [r.name for r in recordings]),
-            [r.name for r in recordings],
-            [r.id for r in recordings],
-        )
+        names = [r.name for r in recordings]
+        return cls(starts, *_joined_rows(recordings, names), names, [r.id for r in recordings])
 
     @classmethod
     def joined(cls, parts: Sequence[Columns]) -> Columns:
@@ -290,9 +286,8 @@ def stack(
     """
     if tracker is not None:
         recordings = [trajectory.recording for trajectory in tracker.only_batch(recordings).trajectories]
-    if not len(recordings):
-        raise UnusableInput("stack: found no recording; expected one or more; usual fix: look at how the list is made")
-    return Columns.of(recordings).batch(rows, dtype, seed)
+    several = one_or_more(recordings, (Recording,), "one or more recordings, as of `read(…)` with tracker=")
+    return Columns.of(several).batch(rows, dtype, seed)
 
 
 def check_times(name: str, times: np.ndarray) -> None:
@@ -331,6 +326,36 @@ def _check_readings(what: str, readings: Readings, rows: int) -> None:
             raise UnusableInput(
                 f"{what} row {row}, channel {channel} is not finite; for a missing value store 0 and set seen to False"
             )
+
+
+def masked(what: str, values: Any, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """The values (rows, n), also of (rows,), with zeros for NaN, and where there was a number; raises UnusableInput."""
+    values = floats(what, values)
+    values = values[:, None] if values.ndim == 1 else values
+    if values.ndim != 2 or len(values) != rows:
+        raise UnusableInput(f"{what} have shape {values.shape}; expected ({rows}, n), one row for each time")
+    if np.isinf(values).any():
+        raise UnusableInput(f"{what}: row {np.argwhere(np.isinf(values))[0][0]} is infinite; mark missing ones by NaN")
+    seen = ~np.isnan(values)
+    return np.where(seen, values, 0.0), seen
+
+
+def known_rows(what: str, truth: Any, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """True values (rows, n), zero in rows where one is NaN, and where all are known."""
+    values, seen = masked(what, truth, rows)
+    known = np.asarray(seen.all(axis=1))
+    return np.where(known[:, None], values, 0.0), known
+
+
+def variances(std: Any, values: np.ndarray) -> np.ndarray:
+    """The squares of reported standard deviations, zero where there is none."""
+    known = np.zeros(values.shape) if std is None else floats("std", std)
+    known = known[:, None] if known.ndim == 1 < values.ndim else known
+    if known.shape != values.shape:
+        raise UnusableInput(f"std has shape {known.shape}; expected {values.shape}, as of the measurements")
+    if (known < 0).any() or np.isinf(known).any():
+        raise UnusableInput(f"std has {known[(known < 0) | np.isinf(known)][0]}; expected 0 or more, NaN for none")
+    return np.nan_to_num(known) ** 2
 
 
 def read_only(array: ArrayLike) -> np.ndarray:

@@ -211,7 +211,9 @@ def check_input(tracker: Any, recordings: Any, caller: str) -> Recording | list[
     if isinstance(recordings, Batch):
         tracker.check_layout(Layout.of_batch(recordings))
         return recordings
-    several = list(recordings) if _is_sequence(recordings) else [recordings]
+    # A list, a tuple or a generator may hold recordings; a table, array, text or mapping does not.
+    sequence = type(recordings).__name__ not in KINDS and hasattr(recordings, "__iter__")
+    several = list(recordings) if sequence else [recordings]
     wrong = [x for x in several if not isinstance(x, Recording)]
     if wrong or not several:
         kind = type(wrong[0]).__name__ if wrong else "nothing"
@@ -228,11 +230,6 @@ def check_input(tracker: Any, recordings: Any, caller: str) -> Recording | list[
         layout = Layout.of_recordings(several)._replace(where="the recordings together")
     tracker.check_layout(layout)
     return several
-
-
-def _is_sequence(recordings: Any) -> bool:
-    """Whether an argument may hold recordings: a list, a tuple, a generator; no table, array, text or mapping."""
-    return type(recordings).__name__ not in KINDS and hasattr(recordings, "__iter__")
 
 
 class MissingInputError(KeyError):

@@ -91,8 +91,7 @@ def test_a_tag_found_above_the_anchors_is_taken_for_its_mirror_image():
 
 
 def test_the_robot_goes_from_end_to_end_of_every_axis_without_a_jump():
-    times = np.arange(0.0, 60.0, 0.1)
-    path = robot.strokes(np.zeros(1), times)[0]
+    path = robot.strokes(np.zeros(1), np.arange(0.0, 60.0, 0.1))[0]
     np.testing.assert_allclose(path.min(axis=0), robot.LOW, atol=1e-12)
     np.testing.assert_allclose(path.max(axis=0), robot.HIGH, atol=1e-12)
     # A stroke of 0.39 m there and back in 4 s is 0.31 m/s at most.
@@ -100,10 +99,8 @@ def test_the_robot_goes_from_end_to_end_of_every_axis_without_a_jump():
 
 
 def test_the_ends_of_strokes_are_measured_by_the_mean_of_what_was_estimated():
-    times = np.arange(0.0, 60.0, 0.1)
-    truth = robot.strokes(np.zeros(1), times)
-    folder = robot.robot(np.arange(1), 0, 0.0, 2.5)
-    tracked = _run(truth + [0.03, -0.02, 0.05], truth, folder)
+    truth = robot.strokes(np.zeros(1), np.arange(0.0, 60.0, 0.1))
+    tracked = _run(truth + [0.03, -0.02, 0.05], truth, robot.robot(np.arange(1), 0, 0.0, 2.5))
     off = {name: float(measure(tracked)[0]) for name, measure in robot.STUDY.measures.items()}
     expected = {"flat_m": 0.025, "height_m": 0.05}
     expected |= {

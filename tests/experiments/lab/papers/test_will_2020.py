@@ -67,9 +67,7 @@ def test_operations_are_those_counted_by_hand_and_do_not_depend_on_the_machine()
 
 
 def test_a_lost_station_says_nothing_and_the_helix_takes_as_long_at_any_rate():
-    ids = np.array([3, 5])
-    folder = recorded(ids, 0, lost=1, rate_hz=2.0)
-    phases = folder.tables["phases"]
+    phases = recorded(np.array([3, 5]), 0, lost=1, rate_hz=2.0).tables["phases"]
     assert sorted(phases["station"].unique()) == ["2", "3"]
     assert sorted(phases["tag"].unique()) == ["3", "5"]
     assert phases["t_s"].max() == pytest.approx(19.5)

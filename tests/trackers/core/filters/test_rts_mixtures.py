@@ -95,8 +95,7 @@ def test_with_switching_the_smoothed_mixture_is_nearer_the_enumeration_of_all_12
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 def test_one_model_under_two_names_is_smoothed_as_the_plain_filter(motion):
     sensor, start = {"z": LinearSensor(H, R, 1)}, KnownStart(_state)
-    plain = Tracker(ConstantVelocity(1.0, 1), sensor, start, track_loss=NEVER_LOST)
-    expected = _smoothed(plain)
+    expected = _smoothed(Tracker(ConstantVelocity(1.0, 1), sensor, start, track_loss=NEVER_LOST))
     mixture = _smoothed(Tracker(motion, sensor, start, InteractingModels(0.8, [1.0, 2.0]), NEVER_LOST))
     np.testing.assert_allclose(flat(mixture.mean), flat(expected.mean), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(mixture.covariance, expected.covariance, rtol=1e-9, atol=1e-9)

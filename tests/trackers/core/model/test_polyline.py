@@ -42,8 +42,7 @@ def test_the_direction_is_the_slope_of_the_place_on_slanting_segments_too():
 
 def test_the_nearest_point_of_places_on_the_path_is_where_they_are():
     line, d = Polyline(KNOTS), np.linspace(0, 16.3, 40)
-    points = np.stack(list(line.position(jnp.asarray(d))), axis=-1)
-    arclength, distance = line.nearest(points)
+    arclength, distance = line.nearest(np.stack(list(line.position(jnp.asarray(d))), axis=-1))
     np.testing.assert_allclose(arclength, d, atol=1e-9)
     np.testing.assert_allclose(distance, 0, atol=1e-9)
     arclength, distance = line.nearest(np.array([4.0, 7.9]))

@@ -28,8 +28,7 @@ def _recording(rows=20, seed=0, id=None, begin=0.0):
     rng = np.random.default_rng(seed)
     times = begin + np.cumsum(rng.uniform(0.05, 0.3, rows))
     position = np.stack([0.5 * times, np.sin(times), np.ones(rows)], axis=1) + SIGMA * rng.normal(size=(rows, 3))
-    recording = tw.baselines.fix_recording(times, position, height=1.0)
-    return dataclasses.replace(recording, id=id)
+    return dataclasses.replace(tw.baselines.fix_recording(times, position, height=1.0), id=id)
 
 
 def _prior(mean=(0.0, 0.0, 0.4, 0.8), spread=1.0):

@@ -98,8 +98,7 @@ class Reordered(NamedTuple):
 
 
 def test_an_estimate_is_shifted_by_the_names_of_its_fields():
-    rng = np.random.default_rng(0)
-    A = rng.normal(size=(6, 6))
+    A = np.random.default_rng(0).normal(size=(6, 6))
     P = A @ A.T
     upper = tuple(jnp.asarray(P[i, j]) for i in range(6) for j in range(i, 6))
     mean = Reordered(Vector(1.0, 2.0), 5.0, Vector(3.0, 4.0, 7.0))
