@@ -114,9 +114,8 @@ def evaluate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore
 def rows_of(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> pl.DataFrame:
     """The `scored_rows` of estimates; arguments as of `evaluate`. Raises UnusableInput if no recording has a truth."""
     several = _several(recordings)
-    known = isinstance(estimates, pl.DataFrame) or hasattr(estimates, "to_polars")
-    require(known, "evaluate", estimates, "estimates, or their table `to_polars()`")
-    table = estimates if isinstance(estimates, pl.DataFrame) else estimates.to_polars()
+    table = estimates.to_polars() if hasattr(estimates, "to_polars") else estimates
+    require(isinstance(table, pl.DataFrame), "evaluate", estimates, "estimates, or their table `to_polars()`")
     if "tag" not in table.columns and not isinstance(estimates, pl.DataFrame):
         names = [*getattr(estimates, "names", ())]
         if len({*names}) < len(names) and names != [recording.name for recording in several]:

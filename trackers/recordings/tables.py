@@ -194,8 +194,7 @@ def read_table(path: Path, name: str, rig: Rig, placed: bool = True) -> tuple[pl
         _check_sensors(file, frame, kind, rig)
     for column, unit in ((column.name, UNITS[column.unit]) for column in kind.columns if column.positive):
         if zeros := int((frame[column] == 0).sum()):
-            words = f"{name} of 0 {unit}: {zeros}; not used: leave the cell of a missing reading empty"
-            notices.append(f"{name}: {words}")
+            notices.append(f"{name}: {name} of 0 {unit}: {zeros}; not used: leave the cell of a missing reading empty")
             frame = frame.with_columns(pl.when(pl.col(column) != 0).then(column).alias(column))
     frame, wraps = unwrapped(frame, expected.ids)
     notices += [f"{name}: {wrap}" for wrap in wraps]
