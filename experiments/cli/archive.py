@@ -22,7 +22,7 @@ import polars as pl
 
 import trackwright as tw
 from trackwright.experiments.cli import tracking as runs
-from trackwright.experiments.cli.console import LEFT_OUT, chosen_tracker, output_folder, ready
+from trackwright.experiments.cli.console import LEFT_OUT, chosen_tracker, keep_programs, output_folder, ready
 from trackwright.experiments.cli.options import TrackOptions, settings
 from trackwright.experiments.jobs.executors import Threads, cluster_executor, environment
 from trackwright.experiments.jobs.store import Store
@@ -140,6 +140,8 @@ def _readable(paths: Sequence[Path]) -> tw.RecordingFolder:
 
 def track_archive(paths: Sequence[Path], options: TrackOptions, begin: Begin) -> int:
     """Tracks the recordings that are not finished, and writes the tables of all; the exit code."""
+    begin("preparing")
+    keep_programs()
     numbers, found = options.numbers, dict[Path, Result]()
     name = chosen_tracker([] if numbers.named else [_readable(paths)], numbers)
     spec_of(name)

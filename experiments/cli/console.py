@@ -75,7 +75,7 @@ def prepared(
     `refused`, which gets a line for each unusable recording, UnusableInput is raised only where none is left."""
     begin("reading")
     calibration, folders = used.read_calibration(), list[RecordingFolder]()
-    for recording in read_recordings(paths, refused) if paths else ():
+    for recording in read_recordings(paths, refused):
         try:
             folder, lines = ready(recording, used, force, calibration)
         except UnusableInput as problem:

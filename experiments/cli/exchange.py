@@ -11,11 +11,10 @@ from cyclopts import Parameter
 from trackwright.experiments.cli.options import File, Folder, Name, Numbers
 from trackwright.trackers.core.errors import UnusableInput
 
-Table = Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"]
-
 
 def import_source(
-    source: Path, /, *, out: Folder, table: Table | None = None,
+    source: Path, /, *, out: Folder,
+    table: Literal["ranges", "tdoa", "fixes", "bearings", "phases", "imu", "odometry", "truth"] | None = None,
     columns: tuple[Annotated[str, Parameter(metavar="TARGET=COLUMN")], ...] = (), mapping: File | None = None,
     topic: str | None = None, tag: str | None = None, rig: File | None = None, format: Name | None = None,
     separator: str | None = None, decimal: Literal[".", ","] = ".",

@@ -38,13 +38,13 @@ def track(*recordings: Recording, options: TrackOptions) -> int:
 
     options.numbers.read()
     with stages("track") as begin:
-        refused, archive = list[str](), archive_of(recordings, options.cluster is not None)
-        folders = prepared([] if archive else recordings, options.used, begin, options.force, refused)
         # jax takes a second to import, which a refused recording need not wait for.
-        if archive:
+        if archive := archive_of(recordings, options.cluster is not None):
             from trackwright.experiments.cli.archive import track_archive
 
             return track_archive(archive, options, begin)
+        refused = list[str]()
+        folders = prepared(recordings, options.used, begin, options.force, refused)
         from trackwright.experiments.cli.tracking import track_together
 
         return track_together(folders, refused, options, begin)

@@ -298,10 +298,9 @@ def title_of(column: Metric) -> str:
 
 
 def checks_text(results: Sequence[CheckResult]) -> str:
-    """The results as aligned lines, the most severe first, and a last line with their counts."""
+    """The results as aligned lines in their order, and a last line with their counts."""
     width = max((len(one.where) for one in results), default=0)
-    ordered = sorted(results, key=lambda one: LEVELS.index(one.level))
-    lines = [printable(f"{one.level:<7}  {one.where:<{width}}  {one.message}") for one in ordered]
+    lines = [printable(f"{one.level:<7}  {one.where:<{width}}  {one.message}") for one in results]
     errors, warnings, infos = (sum(one.level == level for one in results) for level in LEVELS)
     return "\n".join([*lines, f"errors: {errors}, warnings: {warnings}, notes: {infos}"])
 

@@ -76,7 +76,7 @@ def test_mean_nees_of_true_covariances_lies_inside_its_bounds_as_often_as_promis
 
 
 def test_bounds_of_values_with_different_dof_are_those_of_their_sum(rng):
-    interval = consistency(np.array([2.0, 8.0, 5.0, 5.0]), np.array([2.0, 8.0, 5.0, 5.0]))
+    interval = consistency(np.array([2.0, 8.0, 5.0, 5.0]), dof=np.array([2.0, 8.0, 5.0, 5.0]))
     assert (interval.mean, interval.expected, interval.n) == (5.0, 5.0, 4)
     assert _even_chi_square_cdf(4 * interval.low, 20) == pytest.approx(0.025, abs=1e-9)
     assert _even_chi_square_cdf(4 * interval.high, 20) == pytest.approx(0.975, abs=1e-9)
