@@ -148,7 +148,7 @@ def tracker_checks(tracker: AbstractTracker, recordings: Sequence[Recording], *,
     @Check
     @jax.enable_x64(True)
     def single_and_batch() -> None:
-        alone = called(filter_batch, sums().model, sums().batch.columns(0, 1), for_few=True)
+        alone = called(filter_batch, sums().model, sums().batch.columns(0, 1))
         numbers = ((x.mean, x.cov, x.log_likelihood, x.nis, x.nis_dof, x.wrapped) for x in (alone, sums().output))
         for a, b in zip(*map(jax.tree_util.tree_leaves, numbers), strict=True):
             same = np.allclose(a[..., 0], b[..., 0], 1e-7, 1e-9, True)

@@ -52,15 +52,15 @@ ONE_KERNEL = 128
 def compiler_options(trajectories: int) -> dict[str, Any]:
     """The `compiler_options` of `jax.jit` with which XLA compiles a filter of so many trajectories best on a CPU.
 
-    A loop whose step moves few bytes becomes one kernel, without hundreds of calls in each step. With few trajectories
-    products of matrices are compiled inline, since a loop that calls a library stays many kernels. With many,
-    multi-output fusion computes terms shared within a step once, not once per use; in derivatives of up to `ONE_KERNEL`
-    trajectories, whose loop stores several arrays of one shape, it would copy these whole in every step.
+    A loop whose step moves few bytes becomes one kernel, without hundreds of calls in each step; products of matrices
+    are compiled inline, since a loop that calls a library stays many kernels. Multi-output fusion computes terms shared
+    within a step once, not once per use; in derivatives of up to `ONE_KERNEL` trajectories, whose loop stores several
+    arrays of one shape, it would copy these whole in every step.
     """
-    one_kernel = {"xla_cpu_small_while_loop_byte_threshold": "3000000"}
-    if trajectories <= ONE_KERNEL:
-        return {"xla_cpu_experimental_ynn_fusion_type": "", **extra_options(one_kernel)}
-    return extra_options({"xla_cpu_use_multi_output_fusion": "", **one_kernel})
+    extra = {"xla_cpu_small_while_loop_byte_threshold": "3000000"}
+    if trajectories > ONE_KERNEL:
+        extra["xla_cpu_use_multi_output_fusion"] = ""
+    return {"xla_cpu_experimental_ynn_fusion_type": "", **extra_options(extra)}
 
 
 MOST = 4096

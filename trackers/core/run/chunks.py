@@ -134,14 +134,14 @@ def run_chunks(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any
     compiling: defaultdict[Hashable, Lock] = defaultdict(Lock)
     compiled: set[Hashable] = set()
 
-    def dispatch(function: Callable[[Any, Batch], Tree], model: Any, part: Batch, for_few: bool) -> Tree:
+    def dispatch(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
         """The result of `called`; if several threads need a new program, one of them compiles it."""
         leaves, kind = jax.tree_util.tree_flatten((model, part))
         program = kind, tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves), part.dt.device
         if program in compiled:
-            return called(function, model, part, for_few)
+            return called(function, model, part)
         with compiling[program]:
-            result = called(function, model, part, for_few)
+            result = called(function, model, part)
             compiled.add(program)
         return result
 
@@ -160,7 +160,7 @@ def run_chunks(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any
 
 def on_host(function: Callable[[Any, Batch], Tree], model: Any, part: Batch, call: Callable[..., Any]) -> Tree:
     """`function(model, part)` by a program that `call` finds, as NumPy arrays."""
-    return jax.tree_util.tree_map(np.asarray, call(function, model, part, for_few=few(part.size)))
+    return jax.tree_util.tree_map(np.asarray, call(function, model, part))
 
 
 def _applied(function: Callable[[Any, Any], Tree], model: Any, part: Any) -> Tree:
@@ -168,19 +168,14 @@ def _applied(function: Callable[[Any, Any], Tree], model: Any, part: Any) -> Tre
     return function(model, part)
 
 
-OPTIONS, OPTIONS_FOR_FEW = compiler_options(CHUNK), compiler_options(1)
+# Our loops store one array where they are one kernel, so that derivatives of few trajectories have the options of many.
+OPTIONS = compiler_options(CHUNK)
 jitted = eqx.filter_jit(_applied, compiler_options=OPTIONS)  # type: ignore[call-overload]
-jitted_for_few = eqx.filter_jit(_applied, compiler_options=OPTIONS_FOR_FEW)  # type: ignore[call-overload]
 
 
-def called(function: Callable[[Any, Any], Tree], model: Any, part: Any, for_few: bool = False) -> Tree:
-    """`function(model, part)` by a compiled program, loaded without tracing where possible.
-
-    `for_few`: with the options of few trajectories.
-    """
-    program = kept_program(function, model, part, OPTIONS_FOR_FEW if for_few else OPTIONS)
-    if program is None:
-        program = partial(jitted_for_few if for_few else jitted, function)
+def called(function: Callable[[Any, Any], Tree], model: Any, part: Any) -> Tree:
+    """`function(model, part)` by a compiled program, loaded without tracing where possible."""
+    program = kept_program(function, model, part, OPTIONS) or partial(jitted, function)
     result: Tree = program(model, part)
     return result
 
