@@ -80,7 +80,7 @@ class GridFilter(AbstractFilter[GridBelief]):
             travelling, halted = self._split_at_joins(travelling, motion, along, fast * dt)
             leaving = motion.leaving(dt)
             departing = _bin_masses(fast, 0.0 * dt, motion.sigma_departure.value)
-            departing = departing.at[1:].add(departing[1:]).at[0].set(2.0 * departing[0] - 1.0)
+            departing = compute_once(departing.at[1:].add(departing[1:]).at[0].set(2.0 * departing[0] - 1.0))
         travelling = self._advanced(travelling, fast * (dt / along[1]))
         if isinstance(motion, HaltingMotion) and motion.travel is not None:
             stopped = travelling * motion.stopping(dt)
@@ -114,13 +114,12 @@ class GridFilter(AbstractFilter[GridBelief]):
     def moments(self, belief: GridBelief) -> tuple[State, tuple[Scalar, ...]]:
         """Position and velocity at the mean arclength and speed, and their covariance on the floor."""
         along, fast = self._axes(belief.resting.dtype)
-        still = jnp.zeros_like(along)
-        states = PathState(
-            jnp.concatenate([jnp.repeat(along, self.speeds), along]),
-            jnp.concatenate([jnp.tile(fast, self.cells), still]),
-        )
-        weights = jnp.concatenate([belief.travelling.reshape(-1), belief.resting])
-        return weighted_moments(states, weights, self.output_map)
+        mass, first, second = (jnp.sum(belief.travelling * fast[None] ** k, axis=1) for k in range(3))
+        # Two speeds for each cell, of which one is zero, have the moments of all.
+        speed = second / jnp.maximum(first, jnp.finfo(first.dtype).tiny)
+        moving = first / jnp.maximum(speed, jnp.finfo(first.dtype).tiny)
+        states = PathState(jnp.tile(along, 2), jnp.concatenate([speed, jnp.zeros_like(speed)]))
+        return weighted_moments(states, jnp.concatenate([moving, mass - moving + belief.resting]), self.output_map)
 
     def _wrapped_masses(self, cells: AnyArray, mean: Scalar, sigma: Scalar) -> jax.Array:
         """The probabilities of a wrapped normal distribution in the cells of a closed path."""
