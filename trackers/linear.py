@@ -69,6 +69,8 @@ def linear(
     def step(x: Vector, dt: Scalar, inputs: Inputs) -> list[Scalar]:
         moved = forward(x, dt, inputs)
         if control is None:
+            if "u" in inputs and not any(map(callable, (F, *sensors.values()))):
+                raise UnusableInput("linear: the series has an input u, but the tracker no B; give B, or leave u out")
             return moved
         u = jnp.atleast_1d(jnp.asarray(inputs["u"]))
         _fits("the input u of a row", u.shape, width)

@@ -180,6 +180,7 @@ def test_a_singular_covariance_in_single_precision_may_be_indefinite_by_rounding
         (lambda: tw.series({"a": Z}, std=np.ones(40)), "std of z; expected that of a"),
         (lambda: tw.series([1.0, np.inf]), "values of z: row 1 is infinite"),
         (lambda: _linear(F, H, Q, R, B=B).run(tw.series(Z)), "u"),
+        (lambda: _linear(F, H, Q, R).run(tw.series(Z, u=np.ones(40))), "has an input u, but the tracker no B"),
         (lambda: _linear(F, H, Q, R).run(tw.series({"y": Z})), "z"),
     ],
 )
