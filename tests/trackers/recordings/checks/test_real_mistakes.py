@@ -63,7 +63,7 @@ MISTAKES = {
         _nth(0, lambda place: place * [-1.0, 1.0, 1.0]),
     ),
     "anchors in millimetres": Mistake(
-        "labyrinth", ("rig.toml", "millimetres"),
+        "labyrinth", ("anchors", "millimetres"),
         _all_anchors(lambda place: 1000 * place),
     ),
     "truth with z downward": Mistake("tiers-2tag-01", ("read as y, x, -z",), with_columns("truth", x_m=Y, y_m=X, z_m=-Z)),
