@@ -29,6 +29,9 @@ from trackwright.trackers.line.motion import HaltingMotion, LineMotion, PathOutp
 LAPS = 2
 """Laps of a closed path, in either direction, over which the initial normal distribution is summed."""
 
+NO_MASS = 1e-15
+"""A probability that does not count: a quotient of smaller ones has no derivative."""
+
 
 class GridBelief(NamedTuple):
     """Probabilities of travelling (cells, speeds) and of resting (cells,), which sum to 1."""
@@ -115,9 +118,9 @@ class GridFilter(AbstractFilter[GridBelief]):
         """Position and velocity at the mean arclength and speed, and their covariance on the floor."""
         along, fast = self._axes(belief.resting.dtype)
         mass, first, second = (jnp.sum(belief.travelling * fast[None] ** k, axis=1) for k in range(3))
-        # Two speeds for each cell, of which one is zero, have the moments of all.
-        speed = second / jnp.maximum(first, jnp.finfo(first.dtype).tiny)
-        moving = first / jnp.maximum(speed, jnp.finfo(first.dtype).tiny)
+        # Two speeds for each cell, of which one is zero, have the moments of all; a cell without any has the speed 1.
+        speed = (second + NO_MASS) / (first + NO_MASS)
+        moving = first / speed
         states = PathState(jnp.tile(along, 2), jnp.concatenate([speed, jnp.zeros_like(speed)]))
         return weighted_moments(states, jnp.concatenate([moving, mass - moving + belief.resting]), self.output_map)
 
