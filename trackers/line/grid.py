@@ -29,8 +29,7 @@ from trackwright.trackers.line.motion import HaltingMotion, LineMotion, PathOutp
 LAPS = 2
 """Laps of a closed path, in either direction, over which the initial normal distribution is summed."""
 
-NO_MASS = 1e-15
-"""A probability that does not count: a quotient of smaller ones has no derivative."""
+NO_MASS = 1e-15  # a probability that does not count: a quotient of smaller ones has no derivative
 
 
 class GridBelief(NamedTuple):
