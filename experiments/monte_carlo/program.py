@@ -1,15 +1,14 @@
 """A chunk of a study as one program: its trajectories are drawn, tracked and scored without leaving the device.
 
-Where each number of a tracker's rows comes from is found by two trajectories of the world with all readings there: a
-reading is the drawn number that it equals in both; a third one, with some missing, must follow by the same rule. A
-tracker whose rows hold anything else that depends on the readings, as the position from which trackers of ranges start,
-has no such program: `chunk.py` runs it on recordings.
+Where each number of a tracker's rows comes from is found by a trajectory whose readings are all there and all differ;
+another one, with some missing, must follow by the same rule. A tracker whose rows hold anything else that depends
+on readings, as the position from which trackers of ranges start, has no such program: `chunk.py` runs it on recordings.
 """
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -38,8 +37,11 @@ from trackwright.trackers.core.run.tracker import AbstractTracker
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectories
 
+MARKS = 0.5, 1e-6
+"""The first of the readings that all differ, and their step: no m or rad of them is wrapped or refused."""
+
 SEEN = 0.7
-"""Share of the readings that are there in the third of the trajectories that are compared."""
+"""Share of the readings that are there in the second of the trajectories that are compared."""
 
 PIECE = 256
 """Most trajectories that are drawn and tracked together."""
@@ -302,7 +304,7 @@ def _program(model: Any, part: Part) -> Program:
 
 def _understood(draw: AbstractDraw, name: str, batches: Batches, every: float | None) -> tuple[AbstractTracker, Rows]:
     """The tracker of a world's folders, and how its rows follow from the draw; raises UnfitError."""
-    probes = [_probe(draw, name, number, batches) for number in range(3)]
+    probes = [_probe(draw, name, number, batches) for number in range(2)]
     tracker = probes[0].batch.tracker.for_positions()
     if getattr(getattr(tracker, "filter", None), "has_particle_axis", False):
         raise UnfitError("the filter has particles or cells")
@@ -313,21 +315,24 @@ def _understood(draw: AbstractDraw, name: str, batches: Batches, every: float | 
 
 
 class _Probe(NamedTuple):
-    """A drawn trajectory: its arrays, the tracker's batch, and its rows."""
+    """A trajectory of a world: the numbers that were drawn, which of them are there, and its rows."""
 
-    arrays: Mapping[str, np.ndarray]
+    numbers: np.ndarray
+    there: np.ndarray
     batch: TrackerBatch
     trajectories: Trajectories
 
 
 def _probe(draw: AbstractDraw, name: str, number: int, batches: Batches) -> _Probe:
-    """The probe of one trajectory; of the third one some readings are not there."""
+    """The probe of one trajectory: of the first each number is another one, of the second some are not there."""
     with jax.ensure_compile_time_eval():
-        arrays = draw(trajectory_keys(0, [number]))
-    arrays |= {mask: np.ones_like(arrays[mask]) for mask in draw.measured.values()}
-    if number == 2:
-        draws = np.random.default_rng(0)
-        for mask in draw.measured.values():
+        arrays, draws = draw(trajectory_keys(0, [number])), np.random.default_rng(0)
+    marks = MARKS[0] + np.arange(sum(arrays[of].size for of in draw.measured)) * MARKS[1]
+    for of, mask in draw.measured.items():
+        if number == 0:
+            arrays[of], marks = marks[: arrays[of].size].reshape(arrays[of].shape), marks[arrays[of].size :]
+            arrays[mask] = np.ones_like(arrays[mask])
+        else:
             # Every third time has none, so that it shows whether a row without a reading is there.
             by_time = np.arange(arrays[mask].shape[1]).reshape(-1, *[1] * (arrays[mask].ndim - 2)) % 3 != 1
             arrays[mask] = (draws.random(arrays[mask].shape) < SEEN) & by_time
@@ -340,79 +345,63 @@ def _probe(draw: AbstractDraw, name: str, number: int, batches: Batches) -> _Pro
     trajectories = Trajectories.of(found[0].trajectories)
     if set(trajectories.tags) != {str(number)}:
         raise UnfitError("a body has several tags")
-    return _Probe(arrays, found[0], trajectories)
+    values, there = (np.concatenate([arrays[x].ravel() for x in of]) for of in zip(*draw.measured.items(), strict=True))
+    return _Probe(values, there, found[0], trajectories)
 
 
-def _rows(draw: AbstractDraw, probes: list[_Probe], every: float | None) -> Rows:
-    """How the rows follow from the arrays, by two probes; raises UnfitError."""
-    first, second = (probe.trajectories.columns for probe in probes[:2])
-    S, lengths = len(first), np.diff(first.starts)
-    if len(second) != S or len({*lengths, *np.diff(second.starts)}) != 1 or len(draw.times) < 2:
+def _rows(draw: AbstractDraw, probes: Sequence[_Probe], every: float | None) -> Rows:
+    """How the rows follow from the numbers, by two probes; raises UnfitError."""
+    (numbers, _, batch, trajectories), columns = probes[0], probes[0].trajectories.columns
+    S, lengths = len(columns), np.diff(columns.starts)
+    if len({*lengths}) != 1 or len(draw.times) < 2:
         raise UnfitError("trajectories have different numbers of rows, or a single one")
-    numbers = [np.concatenate([p.arrays[name].ravel().astype(float) for name in draw.measured]) for p in probes[:2]]
 
     def sequences(x: np.ndarray) -> np.ndarray:
         return x.reshape(S, len(x) // S, *x.shape[1:])
 
-    def constant(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        if not np.array_equal(a, b):
-            raise UnfitError("an input depends on the readings")
-        return sequences(a)
-
-    times, of_second = sequences(first.times), sequences(second.times)
-    if not ((times == times[0]).all() and (of_second == times[0]).all()):
+    times = sequences(columns.times)
+    if not (times == times[0]).all():
         raise UnfitError("trajectories have different times")
     truth = np.minimum(np.searchsorted(draw.times, times[0] - 1e-9), len(draw.times) - 1)
-    true, known = first.truth["direction" if "direction" in first.truth else "position"]
+    true, known = columns.truth["direction" if "direction" in columns.truth else "position"]
     if np.abs(draw.times[truth] - times[0]).max() > 1e-9 or not known.all():
         raise UnfitError("rows lie between the times of the truth")
+    heights, folder = trajectories.heights, trajectories.folders[0]
+    if batch.planar and np.isnan(heights).any() and not trajectories.stations[0]:
+        raise UnfitError("the height of a planar estimate is unknown")
     places, there, reported = {}, {}, {}
-    for name, readings in first.readings.items():
-        other = second.readings[name]
-        places[name] = sequences(_places(readings.values, other.values, readings.seen, numbers))
-        there[name] = constant(readings.seen, other.seen)
-        nothing = np.zeros((len(readings.values), 0))
-        reported[name] = constant(*(nothing if r.reported is None else r.reported for r in (readings, other)))
-    inputs = {name: constant(x, second.inputs[name]) for name, x in first.inputs.items()}
+    for name, readings in columns.readings.items():
+        place = np.minimum(np.searchsorted(numbers, readings.values), len(numbers) - 1)
+        places[name] = sequences(np.where(readings.seen, place, 0).astype(np.int32))
+        there[name] = sequences(readings.seen)
+        of_row = readings.reported
+        reported[name] = sequences(np.zeros((len(columns.times), 0)) if of_row is None else of_row)
+    inputs = {name: sequences(x) for name, x in columns.inputs.items()}
     # A fraction of the shortest step between rows; one number of steps for both, so that their order is kept.
     span = times[0][-1] - times[0][0]
     ticks = np.round((times[0] - times[0][0]) / (span or 1.0) * TICKS).astype(np.int32)
     group = np.unique(times[0], return_inverse=True)[1].astype(np.int32)
     interval = np.arange(len(group)) if every is None else np.floor(times[0] / every + 1e-6)
-    folder, heights = probes[0].trajectories.folders[0], probes[0].trajectories.heights
-    if probes[0].batch.planar and np.isnan(heights).any() and not probes[0].trajectories.stations[0]:
-        raise UnfitError("the height of a planar estimate is unknown")
-    stations = tuple(folder.rig.stations[name] for name in probes[0].trajectories.stations if name)
-    regular = _check(places, there, inputs, probes[2], draw)
+    stations = tuple(folder.rig.stations[name] for name in trajectories.stations if name)
+    regular = _check(places, there, reported, inputs, times, probes)
     truth_height, differ = float(true[0, -1]), len(set(group.tolist())) == len(group)
-    number, tick = interval.astype(np.int32), (span or 1.0) / TICKS
-    of_times = ticks, tick, group, number, truth
+    of_times = ticks, (span or 1.0) / TICKS, group, interval.astype(np.int32), truth
     return Rows(places, there, reported, inputs, *of_times, heights, truth_height, stations, differ, regular)
 
 
-def _check(places: Any, there: Any, inputs: Any, probe: _Probe, draw: AbstractDraw) -> bool:
-    """Whether rows without a reading are there; raises UnfitError unless a probe with some follows like the others."""
-    pairs = zip(*draw.measured.items(), strict=True)
-    flat = [np.concatenate([probe.arrays[name].ravel() for name in names]) for names in pairs]
-    seen = {name: flat[1][place] & there[name] for name, place in places.items()}
-    valid, columns = np.any(np.concatenate([*seen.values()], axis=2), axis=2), probe.trajectories.columns
-    valid |= (regular := len(columns.times) == valid.size)
-    if not np.array_equal(valid.sum(axis=1), np.diff(columns.starts)):
-        raise UnfitError("a row is there for another reason than a reading")
-    alike = [np.array_equal(x[valid], columns.inputs[name]) for name, x in inputs.items()]
-    for name, place in places.items():
-        readings, values = columns.readings[name], np.where(seen[name], flat[0][place], 0.0)
-        alike += [np.array_equal(seen[name][valid], readings.seen), np.array_equal(values[valid], readings.values)]
-    if not all(alike):
-        raise UnfitError("a row depends on other readings than its own")
+def _check(places: Any, there: Any, reported: Any, inputs: Any, times: np.ndarray, probes: Sequence[_Probe]) -> bool:
+    """Whether rows without a reading are there; raises UnfitError unless both probes have the rows that follow."""
+    for probe in probes:
+        seen = {name: probe.there[place] & there[name] for name, place in places.items()}
+        valid, columns = np.any(np.concatenate([*seen.values()], axis=2), axis=2), probe.trajectories.columns
+        valid |= (regular := len(columns.times) == valid.size)
+        if not np.array_equal(valid.sum(axis=1), np.diff(columns.starts)) or (times[valid] != columns.times).any():
+            raise UnfitError("a row is there for another reason than a reading")
+        pairs = [(x[valid], columns.inputs[name]) for name, x in inputs.items()]
+        for name, place in places.items():
+            readings, values = columns.readings[name], np.where(seen[name], probe.numbers[place], 0.0)
+            pairs += [(seen[name][valid], readings.seen), (values[valid], readings.values)]
+            pairs += [] if readings.reported is None else [(reported[name][valid], readings.reported)]
+        if not all(np.array_equal(a, b) for a, b in pairs):
+            raise UnfitError("a row holds other numbers than its own readings")
     return regular
-
-
-def _places(first: np.ndarray, second: np.ndarray, seen: np.ndarray, numbers: list[np.ndarray]) -> np.ndarray:
-    """The place of each reading among the drawn numbers, which it equals in both probes; zero where it is not seen."""
-    order = np.argsort(numbers[0], kind="stable")
-    at = np.minimum(np.searchsorted(numbers[0][order], first), len(order) - 1)
-    place = np.where(seen, order[at], 0)
-    if not ((numbers[0][place] == first) & (numbers[1][place] == second))[seen].all():
-        raise UnfitError("a reading is none of the drawn numbers")
-    return place.astype(np.int32)

@@ -56,7 +56,7 @@ def test_a_smoothed_or_thinned_tracker_has_a_program_too(config):
 
 @pytest.mark.parametrize(
     ("world", "tracker", "reason"),
-    [("ranges", "multilateration", "other readings than its own"), ("line", "line-pf", "particles or cells"),
+    [("ranges", "multilateration", "other numbers than its own"), ("line", "line-pf", "particles or cells"),
      ("tool", "uwb-imu", "no draw"), ("body", "body", "no draw")],
 )  # fmt: skip
 def test_a_tracker_whose_rows_are_no_drawn_numbers_is_told_apart(world, tracker, reason):
