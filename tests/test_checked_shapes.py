@@ -6,15 +6,15 @@ from jaxtyping import TypeCheckError
 
 from trackwright.sim.corruptions import gauss_markov
 from trackwright.sim.keys import trajectory_keys
-from trackwright.trackers.core.model.polyline import Polyline
+from trackwright.trackers.core.data.consistency import nees
 from trackwright.tuning.optimisation import LBFGS
 
 
 def test_core():
-    path = Polyline([[0.0, 0.0], [1.0, 0.0]])
-    assert path.nearest(np.zeros((3, 2)))[0].shape == (3,)
-    with pytest.raises(TypeCheckError, match="points"):
-        path.nearest(np.zeros((3, 3)))
+    covs = np.stack([np.eye(2)] * 3)
+    assert nees(np.zeros((3, 2)), covs).shape == (3,)
+    with pytest.raises(TypeCheckError, match="covs"):
+        nees(np.zeros((3, 2)), covs[0])
 
 
 def test_tuning():

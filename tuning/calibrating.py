@@ -306,7 +306,7 @@ def _of_folder(folder: RecordingFolder, number: int, kind: Kind) -> Iterator[tup
     x, y = np.floor(np.nan_to_num(positions[:, :2]) / PLACE_M).astype(int).T
     place = x * 100003 + y
     tag = rows.of_each(np.array(rows.tags))
-    true = measured.predicted(positions)
+    true = measured.kind.values_at(positions, measured.sensors)
     # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
     away = measured.values - true
     values = measured.values - (away - wrapped(away, measured.columns))

@@ -92,8 +92,7 @@ def _starts(track: np.ndarray) -> np.ndarray:
 
 def wrapped(angles: Any) -> Any:
     """Angles, rad, in (−π, π]."""
-    turned: Any = np.pi - (np.pi - angles) % (2 * np.pi)
-    return turned
+    return np.pi - (np.pi - angles) % (2 * np.pi)
 
 
 def main_size(rows: pl.DataFrame) -> str:
@@ -125,8 +124,7 @@ def bearing_sizes(estimates: Any, truth: Any) -> tuple[Any, dict[str, Any]]:
 
 def in_plane(azimuth: Any) -> Any:
     """Which directions with these azimuths (n,), rad, lie in the plane of a flat array, where each azimuth is ± 90°."""
-    lying: Any = abs(abs(azimuth) - np.pi / 2) < 1e-9
-    return lying
+    return abs(abs(azimuth) - np.pi / 2) < 1e-9
 
 
 def covariances(rows: pl.DataFrame, names: Sequence[str] = AXES) -> np.ndarray:

@@ -117,8 +117,9 @@ def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
     notices += [f"columns not used: {listed(sorted({*columns} - {*used}), 12)}"] * (len(used) < len(columns))
     keys, tracks = [name for name in ("recording", "tag", "station") if name in columns], list[pl.DataFrame]()
     for rows in table.partition_by(keys, maintain_order=True) if keys else [table]:
-        times, said = table_times.unwrapped_times(rows["t_s"].to_numpy())
-        tracks.append(rows.with_columns(t_s=times).sort("t_s", maintain_order=True))
+        straight, said = table_times.unwrapped(rows, keys)
+        times = straight["t_s"].to_numpy()
+        tracks.append(straight.sort("t_s", maintain_order=True))
         refuse_lost_digits(f"{path}", tracks[-1])
         if (at := table_times.restarted_at(times)) is not None:
             found = f"pose {at + 1}: {times[at]:.3f} s after {times[:at].max():.3f} s: the clock went back"

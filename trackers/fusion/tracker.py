@@ -190,7 +190,7 @@ class Given(NamedTuple):
     def predicted(self, place: Float[np.ndarray, "H M 3"]) -> Float[np.ndarray, "H M R m"]:
         """The values that positions imply."""
         each = np.repeat(place, self.counts.shape[1], axis=1)
-        values = [self.measured.predicted(positions) for positions in each]
+        values = [self.measured.kind.values_at(positions, self.measured.sensors) for positions in each]
         return np.stack(values).reshape(len(place), *self.counts.shape)
 
     def errors(self, predicted: Float[np.ndarray, "H M R m"]) -> Float[np.ndarray, "H M R m"]:

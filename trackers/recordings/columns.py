@@ -135,11 +135,6 @@ class TruePaths:
         w, x, y, z = self._rows.floats(QUATERNION).T
         return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
-    def of_tag(self, tag: str) -> tuple[np.ndarray, np.ndarray]:
-        """Times (n,) s and positions (n, 3) m of one path."""
-        part = slice(*self.starts[self.number[tag] :][:2])
-        return self.times[part], self.positions[part]
-
     def headings_at(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Headings (N,), rad, interpolated at rows as in `at`; NaN where unknown, also in holes of the attitudes."""
         result = np.full(len(times), np.nan)

@@ -248,10 +248,6 @@ class Measured(NamedTuple):
         moved = np.where(missing[1:] & missing[:-1], 0.0, wrapped(np.diff(x, axis=0), self.columns))
         return Streams(self.columns, x, np.diff(stream[order]) == 0, np.where(np.isnan(moved), np.inf, moved))
 
-    def predicted(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N m"]:
-        """The values that positions imply."""
-        return self.kind.values_at(positions, self.sensors)
-
     def errors(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N m"]:
         """The differences from the values that positions imply: see `Kind.errors`."""
         return self.kind.errors(self.values, positions, self.sensors, self.columns)

@@ -297,18 +297,11 @@ def _refuse_restart(file: TableFile, frame: pl.DataFrame, ids: tuple[str, ...]) 
 
 
 def unwrapped(table: pl.DataFrame, ids: Sequence[str]) -> tuple[pl.DataFrame, list[str]]:
-    """The table with times as `unwrapped_times` gives them; rows of one sensor may stand after those of another."""
-    begins = table.select(pl.struct(ids).is_first_distinct()).to_series()
-    times, notices = unwrapped_times(table["t_s"].to_numpy(), begins.to_numpy())
-    return table.with_columns(t_s=times), notices
-
-
-def unwrapped_times(t: np.ndarray, begins: np.ndarray | bool = False) -> tuple[np.ndarray, list[str]]:
-    """Times (n,), s, of a counter that wrapped, each part after the one before, and a notice that says so.
-
-    A step back into a row that `begins` a stream is none of the clock.
-    """
-    steps = np.where(np.broadcast_to(begins, t.shape)[1:], 0.0, np.diff(t))
+    """The table with the times of a counter that wrapped, each part after the one before, and a notice that says so."""
+    first = pl.struct(ids).is_first_distinct() if ids else pl.int_range(pl.len()) == 0
+    t, begins = table["t_s"].to_numpy(), table.select(first).to_series().to_numpy()
+    # Rows of one sensor may stand after those of another: a step back into the first of them is none of the clock.
+    steps = np.where(begins[1:], 0.0, np.diff(t))
     usual = float(np.median(np.abs(steps[steps != 0]))) if steps.any() else 0.0
     for period, words in WRAPS.items():
         # Messages may be missing at the wrap; readings as rare as the period say nothing of one.
@@ -317,8 +310,9 @@ def unwrapped_times(t: np.ndarray, begins: np.ndarray | bool = False) -> tuple[n
             turns = back.astype(int) - (np.abs(steps - period) < 1e-3 * period)
             times = np.concatenate([t[:1], t[1:] + period * np.cumsum(turns)])
             at = ", ".join(str(k + 2) for k in np.flatnonzero(back)[:4])
-            return times, [f"the clock goes back by {words} at row {at}: a counter that wraps; unwrapped"]
-    return t, []
+            notice = f"the clock goes back by {words} at row {at}: a counter that wraps; unwrapped"
+            return table.with_columns(t_s=times), [notice]
+    return table, []
 
 
 def restarted_at(t: np.ndarray, others: np.ndarray | None = None) -> int | None:

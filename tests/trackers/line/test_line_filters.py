@@ -79,8 +79,9 @@ def pair(request):
 
 def _on_line(estimates):
     """Arclength and speed along a last axis, from the positions, which lie on the line."""
-    arclength, apart = LINE.nearest(np.stack(estimates.mean.position, axis=-1))
-    assert np.all(apart < 1e-9)
+    x, y = (np.asarray(axis) for axis in estimates.mean.position)
+    arclength = np.select([y < 1e-9, x > 2.0 - 1e-9], [x, 2.0 + y], 5.0 - x)
+    np.testing.assert_allclose(LINE.position(jnp.asarray(arclength)), [x, y], atol=1e-9)
     return np.stack([arclength, np.hypot(*estimates.mean.velocity)], axis=-1)
 
 

@@ -7,7 +7,7 @@ import pytest
 from trackwright.trackers.core.data import HOLE_M, HOLE_S
 from trackwright.trackers.core.errors import UNIX_S
 from trackwright.trackers.recordings.columns import QUATERNION, TagRows, TruePaths, TruthStatus
-from trackwright.trackers.recordings.tables import WRAPS, restarted_at, unwrapped_times
+from trackwright.trackers.recordings.tables import WRAPS, restarted_at, unwrapped
 
 
 def _alone(at, times, positions):
@@ -68,13 +68,15 @@ def test_headings_are_unknown_where_the_attitudes_have_a_hole():
 @pytest.mark.parametrize("period", WRAPS)
 def test_a_counter_or_clock_that_wraps_is_unwrapped_and_named(period):
     t = 0.1 * np.arange(200) + period - 7.0
-    found, (notice,) = unwrapped_times(t % period)
-    np.testing.assert_allclose(found, t, rtol=1e-9)
+    found, (notice,) = unwrapped(pl.DataFrame({"t_s": t % period}), [])
+    np.testing.assert_allclose(found["t_s"], t, rtol=1e-9)
     assert WRAPS[period] in notice
     # Rows of one sensor after those of another go back by the length of the recording.
-    ends, blocks = np.tile(np.linspace(0.0, period, 200), 2), np.arange(400) % 200 == 0
-    for rare, begins in ((t, False), (period / 3 * np.arange(9), False), (ends, blocks)):
-        assert unwrapped_times(rare, begins)[1] == []
+    ends, blocks = np.tile(np.linspace(0.0, period, 200), 2), np.arange(400) // 200
+    for rare, sensor in ((t, 0), (period / 3 * np.arange(9), 0), (ends, blocks)):
+        assert (
+            unwrapped(pl.DataFrame({"t_s": rare, "sensor": np.broadcast_to(sensor, rare.shape)}), ["sensor"])[1] == []
+        )
 
 
 def test_a_clock_that_restarts_is_found_also_where_it_repeats_no_time_but_not_late_or_unsorted_rows():

@@ -106,16 +106,3 @@ class Polyline(eqx.Module):
 
     def _segment(self, along: Float[Array, "*rows"]) -> Int[Array, "*rows"]:
         return jnp.searchsorted(self.starts[1:], along, side="right", method=LOOK_UP)
-
-    def nearest(
-        self, points: Float[np.ndarray, "*rows 2"]
-    ) -> tuple[Float[np.ndarray, "*rows"], Float[np.ndarray, "*rows"]]:
-        """The arclengths of the projections of `points` (..., 2) onto the path, and their distances, m; NumPy."""
-        knots, directions = np.asarray(self.knots, float), np.asarray(self.directions, float)
-        starts, lengths = np.asarray(self.starts, float), np.asarray(self.lengths, float)
-        offset = np.asarray(points, float)[..., None, :] - knots[:-1]
-        along = np.clip((offset * directions).sum(axis=-1), 0.0, lengths)
-        distance = np.sqrt(((offset - along[..., None] * directions) ** 2).sum(axis=-1))
-        best = np.argmin(distance, axis=-1)[..., None]
-        arclength = np.take_along_axis(starts + along, best, -1)[..., 0]
-        return arclength, np.take_along_axis(distance, best, -1)[..., 0]

@@ -40,15 +40,6 @@ def test_the_direction_is_the_slope_of_the_place_on_slanting_segments_too():
         np.testing.assert_allclose(list(line.direction(jnp.asarray(d))), (ends[0] - ends[1]) / 2e-6, atol=1e-6)
 
 
-def test_the_nearest_point_of_places_on_the_path_is_where_they_are():
-    line, d = Polyline(KNOTS), np.linspace(0, 16.3, 40)
-    arclength, distance = line.nearest(np.stack(list(line.position(jnp.asarray(d))), axis=-1))
-    np.testing.assert_allclose(arclength, d, atol=1e-9)
-    np.testing.assert_allclose(distance, 0, atol=1e-9)
-    arclength, distance = line.nearest(np.array([4.0, 7.9]))
-    assert (float(arclength), float(distance)) == (pytest.approx(1.385), pytest.approx(0.36))
-
-
 def test_a_step_is_the_printed_one():
     moved = LineMotion(Polyline(KNOTS), 0.2).step(PathState(1.0, 0.5), {}, jnp.asarray(0.25), Vector(-1.0))
     assert (float(moved.arclength), float(moved.speed)) == (pytest.approx(1.125), pytest.approx(0.4))
