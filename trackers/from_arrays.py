@@ -18,7 +18,7 @@ import polars as pl
 from trackwright.trackers.aoa.fusion import BEARINGS, bearing_inputs
 from trackwright.trackers.aoa.rays import recent_points
 from trackwright.trackers.core.data.recording import Readings, Recording, check_times, known_rows, masked, variances
-from trackwright.trackers.core.errors import UnusableInput, floats, seconds
+from trackwright.trackers.core.errors import UnusableInput, floats, require, seconds
 from trackwright.trackers.core.model.rig import Rig, Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.parts.fixes import FIXES
@@ -78,7 +78,7 @@ def range_recording(
     (T,) of the anchor of each. Ranges that are not positive are masked. `side`: above or below, where the tag is of
     anchors in one plane.
     """
-    anchors, heights = floats("anchors", anchors), np.array([np.nan if height is None else height], float)
+    anchors, heights = floats("anchors", anchors), _heights(height)
     if anchors.ndim != 2 or anchors.shape[1] != 3:
         raise UnusableInput(f"anchors have shape {anchors.shape}; expected (A, 3), m")
     _warn_of_map("range_recording", anchors)
@@ -120,6 +120,8 @@ def bearing_recording(
 
     `station`: (T,) the name of each row's station. `std`: (T, 2) rad.
     """
+    require(isinstance(stations, Mapping), "bearing_recording", stations, "stations by name, as {'west': Station(…)}")
+    require(np.ndim(station) == 1, "bearing_recording", station, "the name of each row's station")
     unknown = sorted({str(s) for s in station if s not in stations})
     if unknown or len(station) != len(times):
         raise UnusableInput(
@@ -136,8 +138,8 @@ def bearing_recording(
     where = np.stack([geometry[s] for s in station])
     _warn_of_map("bearing_recording", where[:, :3])
     reported = np.insert(variances(std, values), 1, 0.0, axis=1)
-    starts, heights = np.array([0, len(times)]), np.array([np.nan if height is None else height], float)
-    nearby = recent_points(starts, seconds(times), where[:, :3], where[:, 3:], values, seen, heights)
+    starts = np.array([0, len(times)])
+    nearby = recent_points(starts, seconds(times), where[:, :3], where[:, 3:], values, seen, _heights(height))
     number = np.array([list(stations).index(s) for s in station], float)
     inputs = {"origin": where[:, :3], "axes": where[:, 3:], "station": number, "nearby": nearby}
     inputs[ROOM.name] = room_rows(np.stack([s.position for s in stations.values()]), None, len(values))
@@ -153,6 +155,8 @@ def phase_recording(
 
     One station under the name that `beam_tracker` was given suits that one.
     """
+    expected = "phases (T, n) by the name of their station, as {'phases': phases}"
+    require(isinstance(phases, Mapping), "phase_recording", phases, expected)
     readings = {key: Readings(*masked(f"phases['{key}']", values, len(times))) for key, values in phases.items()}
     for given in readings.values():
         columns = {f"phase_{n}_rad": x for n, x in enumerate(np.where(given.seen, given.values, np.nan).T)}
@@ -188,7 +192,15 @@ def _warn_of_map(function: str, points: np.ndarray) -> None:
 
 
 def _height(times: np.ndarray, height: float | None) -> dict[str, np.ndarray]:
-    return {} if height is None else {"height": np.full(len(times), float(height))}
+    return {} if height is None else {"height": np.full(len(times), *_heights(height))}
+
+
+def _heights(height: float | None) -> np.ndarray:
+    """The constant height of the one tag (1,), m; NaN where it is unknown."""
+    heights = floats("height", [np.nan if height is None else height])
+    if heights.shape != (1,):
+        raise UnusableInput(f"height has shape {heights.shape[1:]}; expected one number, m, at all times")
+    return heights
 
 
 def _truth(truth: np.ndarray | None, rows: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:

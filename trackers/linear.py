@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trackwright.trackers.core.data.recording import Readings, Recording, known_rows, masked, variances
-from trackwright.trackers.core.errors import UnusableInput, floats, listed
+from trackwright.trackers.core.errors import UnusableInput, floats, listed, require
 from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.model.algebra import Scalar, Vector, cholesky, times, total, triangle
 from trackwright.trackers.core.model.covariance import Gaussian
@@ -69,8 +69,7 @@ def linear(
     def step(x: Vector, dt: Scalar, inputs: Inputs) -> list[Scalar]:
         moved = forward(x, dt, inputs)
         if control is None:
-            if "u" in inputs and not any(map(callable, (F, *sensors.values()))):
-                raise UnusableInput("linear: the series has an input u, but the tracker no B; give B, or leave u out")
+            _refuse_unread(inputs, "linear", "no B; give B", (F, 1), *((h, 0) for h in sensors.values()))
             return moved
         u = jnp.atleast_1d(jnp.asarray(inputs["u"]))
         _fits("the input u of a row", u.shape, width)
@@ -98,6 +97,8 @@ def nonlinear(
     sensors = measure if isinstance(measure, Mapping) else {SENSOR: measure}
 
     def moved(x: Vector, dt: Scalar, inputs: Inputs) -> Any:
+        words = "no function that takes it; let `step` take `inputs` last"
+        _refuse_unread(inputs, "nonlinear", words, (step, 2), *((h, 1) for h in sensors.values()))
         return _called(step, x.array(), dt, inputs)
 
     functions = {name: (lambda x, inputs, h=h: _called(h, x.array(), inputs)) for name, h in sensors.items()}
@@ -119,6 +120,8 @@ def series(
     0, 1, 2 …. `std`: standard deviations of the shape of z, which add to R. `inputs`: arrays (T, …) by name, as u=….
     `truth`: (T, d) by the name of a part of the state. Raises UnusableInput for arrays that do not fit.
     """
+    expected = "truth by the name of a part of the state, as {'x': truth}"
+    require(truth is None or isinstance(truth, Mapping), "series", truth, expected)
     by_sensor, spread = (x if isinstance(x, Mapping) else {SENSOR: x} for x in (z, {} if std is None else std))
     if unknown := [sensor for sensor in spread if sensor not in by_sensor]:
         raise UnusableInput(f"series: std of {listed(unknown)}; expected that of {listed(by_sensor)}, as of z")
@@ -332,7 +335,18 @@ def _product(what: str, matrix: Any, rows: int | str, columns: int | str = "k") 
 
 def _called(function: Callable[..., Any], *arguments: Any) -> Any:
     """The function of as many of the arguments as it takes."""
-    return function(*arguments[: len(inspect.signature(function).parameters)])
+    return function(*arguments[: _taken(function)])
+
+
+def _taken(function: Callable[..., Any]) -> int:
+    """How many arguments a function takes, without those that have a default, as a loop's own numbers in a lambda."""
+    return sum(one.default is one.empty for one in inspect.signature(function).parameters.values())
+
+
+def _refuse_unread(inputs: Inputs, of: str, words: str, *functions: tuple[Any, int]) -> None:
+    """Raises UnusableInput for an input u where no function takes more than its number of other arguments."""
+    if "u" in inputs and not any(callable(function) and _taken(function) > least for function, least in functions):
+        raise UnusableInput(f"{of}: the series has an input u, but the tracker has {words}, or leave u out")
 
 
 @lru_cache

@@ -176,8 +176,13 @@ def unchecked():
         (lambda: tw.baselines.fix_recording(TIMES, PATH, std=-PATH), "std has -1.0; expected 0 or more"),
         (lambda: tw.baselines.fix_recording(["a", "b", "c"], PATH), "times: could not convert string"),
         (lambda: tw.aoa.phase_recording(TIMES, {"a": 60 * PATH}), "phase_recording: .* looks like degrees"),
-        (lambda: tw.aoa.bearing_recording(TIMES, 60 * PATH[:, :2], "aaa", {"a": STATION}), "looks like degrees"),
+        (lambda: tw.aoa.bearing_recording(TIMES, 60 * PATH[:, :2], ["a"] * 3, {"a": STATION}), "like degrees"),
         (lambda: tw.uwb_imu.range_recording(TIMES, TIMES + 1, HALL, anchor=[0, 1, 1.5]), "anchors 0 to 3"),
+        (
+            lambda: tw.baselines.fix_recording(TIMES, PATH, height=TIMES),
+            r"height has shape \(3,\); expected one number",
+        ),
+        (lambda: tw.aoa.phase_recording(TIMES, PATH), "found ndarray; expected phases"),
     ],
 )
 def test_arguments_of_another_kind_are_refused_as_unusable_input(make, words, unchecked):

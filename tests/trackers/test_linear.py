@@ -180,10 +180,21 @@ def test_a_singular_covariance_in_single_precision_may_be_indefinite_by_rounding
         (lambda: tw.series({"a": Z}, std=np.ones(40)), "std of z; expected that of a"),
         (lambda: tw.series([1.0, np.inf]), "values of z: row 1 is infinite"),
         (lambda: _linear(F, H, Q, R, B=B).run(tw.series(Z)), "u"),
-        (lambda: _linear(F, H, Q, R).run(tw.series(Z, u=np.ones(40))), "has an input u, but the tracker no B"),
+        (lambda: _linear(F, H, Q, R).run(tw.series(Z, u=np.ones(40))), "has an input u, but the tracker has no B"),
         (lambda: _linear(F, H, Q, R).run(tw.series({"y": Z})), "z"),
+        (lambda: _free(0.0).run(tw.series(Z, u=np.ones(40))), "has an input u, but the tracker has no function"),
+        (lambda: tw.series(Z, truth=Z), "expected truth by the name of a part of the state"),
     ],
 )
 def test_what_does_not_fit_is_one_line(make, phrase):
     with pytest.raises(tw.UnusableInput, match=phrase):
         make()
+
+
+def _free(offset):
+    return tw.nonlinear(lambda x, dt, a=offset: x + a, lambda x, b=offset: x[:1] + b, Q, R, x0=X0)
+
+
+def test_a_number_that_a_function_has_by_default_is_its_own():
+    moved = [float(_free(offset).run(tw.series([np.nan, np.nan])).mean.x[0][1]) for offset in (0.0, 2.0)]
+    assert moved[1] - moved[0] == 2.0
