@@ -104,8 +104,8 @@ class GridFilter(AbstractFilter[GridBelief]):
         probabilities = jnp.sum(belief.travelling, axis=1) + belief.resting
         # Relative to the best cell that has any probability: beside a wild reading's foot all others would underflow.
         possible = probabilities > jnp.finfo(probabilities.dtype).tiny
-        top = jnp.max(jnp.where(possible, densities, -jnp.inf))
-        factor = jnp.where(possible, jnp.exp(jnp.minimum(densities - top, 0.0)), 0.0)
+        top = jax.lax.stop_gradient(jnp.max(jnp.where(possible, densities, -jnp.inf)))
+        factor = jnp.exp(jnp.where(possible, densities - top, -jnp.inf))
         likelihood = jnp.sum(probabilities * factor)
         factor = factor / likelihood
         nis = weighted_nis(seen.whitened, probabilities, seen.dof)

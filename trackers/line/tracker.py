@@ -98,7 +98,8 @@ class LineStart(AbstractStart):
         # On a closed path the first point is the last one.
         prior = jnp.ones_like(along).at[0].set(0.0) if self.line.closed else prior.at[0].set(jnp.sum(prior))
 
-        weights = jnp.exp(densities - jnp.max(densities)) * prior
+        # The derivative of a largest number is NaN where a fusion computes it anew with other roundings.
+        weights = jnp.exp(densities - jax.lax.stop_gradient(jnp.max(densities))) * prior
         weights = weights / jnp.sum(weights)
         along = self.line.gathered(along, weights)
         mean = jnp.sum(weights * along)

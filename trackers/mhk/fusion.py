@@ -147,7 +147,7 @@ def chain_predicted(weights: jax.Array, stationary: jax.Array, kappa: Scalar) ->
 
 def chain_updated(weights: jax.Array, log_likelihoods: jax.Array) -> tuple[jax.Array, Scalar]:
     """The filtered state probabilities (N,) given the states' log-likelihoods (N,), and the log-evidence."""
-    top = jnp.max(log_likelihoods)
+    top = jax.lax.stop_gradient(jnp.max(log_likelihoods))
     joint = weights * jnp.exp(log_likelihoods - top)
     # Before a track starts all weights are zero; a quotient by the smallest number would have no derivative there.
     evidence = jnp.sum(joint)

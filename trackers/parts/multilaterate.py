@@ -124,7 +124,8 @@ def lower_median(values: AnyArray, counts: AnyArray) -> Scalar:
     smaller, not_larger = (
         jnp.sum(compare(kept[None, :], kept[:, None]), axis=1) for compare in (jnp.less, jnp.less_equal)
     )
-    return jnp.max(jnp.where((smaller <= index) & (index < not_larger) & (counts > 0), kept, 0.0))
+    chosen = (smaller <= index) & (index < not_larger) & (counts > 0)
+    return jnp.sum(jnp.where(chosen, kept, 0.0)) / jnp.maximum(jnp.sum(chosen.astype(kept.dtype)), 1.0)
 
 
 def inverse(matrix: list[list[Scalar]]) -> list[list[Scalar]]:

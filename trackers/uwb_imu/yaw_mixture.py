@@ -64,7 +64,7 @@ class YawMixtureFilter(AbstractSmoothableFilter[YawMixture]):
         each = jax.vmap(lambda b: self.kalman.update(b, motion, sensor, reading, inputs))
         beliefs, innovations = each(belief.beliefs)
         joint = belief.log_weights + innovations.log_likelihood
-        top = jnp.max(joint, axis=0)
+        top = jax.lax.stop_gradient(jnp.max(joint, axis=0))
         log_likelihood = top + jnp.log(jnp.sum(jnp.exp(joint - top), axis=0))
         best = _one_hot_maximum(belief.log_weights)
         nis, nis_dof, wrapped = (
