@@ -31,8 +31,8 @@ def import_source(
         source: a file, or the folder of a ROS 2 bag.
         out: the recording folder to write, whose name is the recording's; tables are added to an existing one.
         table: what the rows or messages are.
-        columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm*0.001",
-            "range_m=distance in mm", "t_s=stamp in iso" or "in mm/dd/yyyy", "t_s=secs+nsecs*1e-9",
+        columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm\\*0.001",
+            "range_m=distance in mm", "t_s=stamp in iso" or "in mm/dd/yyyy", "t_s=secs+nsecs\\*1e-9",
             "anchor=header.frame_id", "range_m[A1]=d1" for a column of each anchor.
         mapping: a TOML file with the table, columns, topic, tag and form of several tables, instead of these options
             (--columns and --tag add to it), or a preset: dwm1001, isas-walk.

@@ -50,6 +50,7 @@ def test_the_help_of_each_command_explains_every_argument(command):
     assert (done.code, done.err) == (0, "")
     assert done.out.startswith(f"Usage: trackwright {command}")
     assert max(map(len, done.out.splitlines())) <= 80
+    assert command != "import" or "nsecs*1e-9" in done.out  # no mark of emphasis
     for argument in _arguments(command):
         if argument.children:
             continue
