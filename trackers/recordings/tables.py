@@ -302,7 +302,7 @@ def unwrapped(table: pl.DataFrame, ids: Sequence[str]) -> tuple[pl.DataFrame, li
     t, begins = table["t_s"].to_numpy(), table.select(first).to_series().to_numpy()
     # Rows of one sensor may stand after those of another: a step back into the first of them is none of the clock.
     steps = np.where(begins[1:], 0.0, np.diff(t))
-    usual = float(np.median(np.abs(steps[steps != 0]))) if steps.any() else 0.0
+    usual = float(np.quantile(np.abs(steps[steps != 0]), 0.95)) if steps.any() else 0.0
     for period, words in WRAPS.items():
         # Messages may be missing at the wrap; readings as rare as the period say nothing of one.
         back = np.abs(steps + period) < np.clip(5.0 * usual, 1e-3 * period, 0.05 * period)
