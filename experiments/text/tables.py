@@ -127,9 +127,8 @@ def uncapitalised(text: str) -> str:
     return text if text[:2].isupper() else text[0].lower() + text[1:]
 
 
-SHOWN_TRACKS, SHOWN_RECORDINGS, OUTSIDE = 10, 5, 0.9
-"""The most tracks listed per recording, and recordings of an archive: the worst. Share of rows outside the truth from
-which on clocks are to blame."""
+SHOWN_TRACKS, SHOWN_RECORDINGS = 10, 5
+"""The most tracks listed per recording, and recordings of an archive: the worst."""
 
 COLUMNS = tuple(metric for metric in METRICS.values() if metric.short)
 """The metrics with a column, in their order."""
@@ -280,7 +279,6 @@ def _text(
     )
     judged = any(overall[c.name] is not None for c in columns if c.name in ("nees_ratio", "nis_ratio"))
     left_out = f"Excluded of {overall['n_rows']} rows: {', '.join(excluded)}." if excluded else ""
-    left_out += " Compare the clocks and their unit, s." * (overall["n_no_truth"] > OUTSIDE * overall["n_rows"])
     lines = (*evaluation.statements, note, meaning * judged, left_out)
     return rendered(width, table, *filter(None, lines))
 

@@ -26,6 +26,7 @@ ANGLES = ("azimuth_rad", "elevation_rad")
 WINDOW = 3.0  # lags up to which the autocorrelation is summed, in correlation times of the sum so far
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 TANGENTS = np.tan(np.pi / 4 * (1 + NODES))
+LEAST_INSIDE = 0.01  # share of estimates inside a truth below which the clocks are not the same
 CHUNK = 2_000  # rows whose energy scores are computed together: their numbers fit the processor's cache
 
 
@@ -273,15 +274,19 @@ def _mean_norm(volume: Float[np.ndarray, "3 n"], size: Float[np.ndarray, "3 n"])
 
 
 def refuse_without_overlap(rows: pl.DataFrame, truths: Truths) -> None:
-    """Raises UnusableInput, with a recording, its tags and times of both, where no row is scored against a truth."""
-    if truths and not is_scored(rows).any():
-        known = rows.filter(pl.col("why") != "no estimate")
-        name = (known if len(known) else rows)["recording"][0]
+    """Raises UnusableInput, with a recording, its tags and times of both, where next to no row lies inside a truth."""
+    known = rows.filter(pl.col("why").ne_missing("no estimate"))
+    asked = known.filter(pl.col("why").is_null().any().over("track"))
+    inside = int(asked["why"].ne_missing("no truth").sum())
+    if truths and inside <= LEAST_INSIDE * len(asked):
+        name = (asked if len(asked) else known if len(known) else rows)["recording"][0]
         found = f"the tracks are of recording {name}, the truth is of {listed(sorted(truths))}"
         if name in truths:
-            found = f"no estimate lies inside a truth: estimates {_about(known.filter(recording=name))}, "
+            found = f"only {inside} of {len(asked)} estimates lie" if inside else "no estimate lies"
+            found += f" inside a truth: estimates {_about(known.filter(recording=name))}, "
             found += f"truth of '{name}' {_about(truths[name])}"
-        raise UnusableInput(f"{found}; expected the same recording, tag and time; compare names, ids and clocks")
+        fix = "compare names, ids, clocks and their units, or give the time of the truth by --from and --to"
+        raise UnusableInput(f"{found}; expected the same recording, tag and time; {fix}")
 
 
 def _about(table: pl.DataFrame) -> str:

@@ -29,7 +29,9 @@ from trackwright.trackers.recordings.tracks_table import is_bearing, read_tracks
 
 TUM = ("t_s", *AXES, *QUATERNION[1:], QUATERNION[0])
 _TEXT = ("recording", "tag", "station", "status", "wrapped")
-_NUMBER = re.compile(r"q[wxyz]|nis(?:_dof)?|log_likelihood|.*_(?:s|m|m2|rad|mps)")  # columns of numbers
+_NUMBER = re.compile(  # columns of numbers
+    r"t_s|q[wxyz]|nis(?:_dof)?|log_likelihood|v[xyz]_mps|(?:std_)?(?:[xyz]_m|\w+_rad)|cov_(?:xy|xz|yz)_m2"
+)
 
 
 class Poses(NamedTuple):
@@ -108,6 +110,9 @@ def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
         fix = "expected also z_m, std_x_m …, qw … qz where known; bring it into this form by `trackwright import`"
         raise UnusableInput(f"{path}: no column {listed(sorted(missing))}; found {listed(columns, 12)}; {fix}")
     used = [name for name in columns if name in _TEXT or _NUMBER.fullmatch(name)]
+    if spreads := [name for name in columns if name not in used and re.search("std|sigma|cov|var", name.lower())]:
+        expected = "expected std_x_m, std_y_m, std_z_m and cov_xy_m2, cov_xz_m2, cov_yz_m2; rename or remove it"
+        raise UnusableInput(f"{path}: unknown column {spreads[0][:40]!r}, {expected}")
     table = file.frame.select(pl.col(n).cast(pl.String) if n in _TEXT else numbers_of(file, n) for n in used)
     file.refuse(table["t_s"].is_null(), "t_s", "seconds; remove the row")
     # The standard deviation of a known height is 0.
@@ -355,7 +360,8 @@ def compare_tracks(
             without.append(rows)
     if not compared:
         found = f"tracks of {listed(f'{name}, tag {tag}' for name, tag in by_track)}; truths of {listed(truths)}"
-        raise UnusableInput(f"no track has a truth: {found}; give the --truth of the same recording and tag")
+        fix = "give the --truth of the same recording and tag, or the --tag that it is of"
+        raise UnusableInput(f"no track has a truth: {found}; {fix}")
     # A track that no alignment moves keeps its covariances, and one without a truth is counted.
     kept = [name for name in tracks.columns if all(name in errors.aligned.columns for errors in compared)]
     moved = pl.concat([table.select(kept) for table in (*(errors.aligned for errors in compared), *without)])

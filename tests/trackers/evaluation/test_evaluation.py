@@ -226,6 +226,7 @@ def test_errors_of_angles_are_wrapped_and_those_between_directions_on_the_great_
         (_tracks([0.5], [0.0]), _truth([0.0], [0.0]).drop("x_m"), "truth of recording 'hall': no column x_m"),
         (_tracks([0.5], [0.0]), _truth([0.0], [0.0]).clear(), "no estimate lies inside a truth"),
         (_tracks([9.0], [0.0]), _truth([0.0], [0.0]), "of tag 1, from 9 to 9 s, truth of 'hall' of tag 1, from 0 to 0"),
+        (_tracks(100.0 * np.arange(200), [0.0] * 200), _truth([0.0, 50.0], [0.0, 1.0]), "only 1 of 200 estimates lie"),
     ],
 )
 def test_tables_that_do_not_fit_are_refused_in_one_line(tracks, truth, words):
