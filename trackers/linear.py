@@ -7,6 +7,7 @@ statsmodels; filters that predict first, as filterpy's, begin with F x0 and F P0
 from __future__ import annotations
 
 import inspect
+import warnings
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
@@ -14,6 +15,7 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -36,6 +38,7 @@ Matrix = Float[np.ndarray, "n n"] | Callable[..., Any] | tuple[Callable[..., Any
 
 SENSOR = "z"  # the name of the readings where there is one sensor alone
 DIFFUSE = 1e6  # variance of each component of the state where no `P0` is given
+RESOLVED = 2.0**15  # the most by which a reading reduces a variance in single precision, see `sequential_updates`
 
 _SINGULAR = 1e-12
 
@@ -56,7 +59,8 @@ def linear(
     F (n, n), H (m, n) and B (n, k) are arrays, or functions that return arrays: of `dt`, s, or of `dt` and the row's
     inputs (H: of the inputs alone), which `series` takes by name. u (T, k) is the input `u` of `series`. Several
     sensors: H and R by their names. Q, R: see `Matrix`; a full array is tuned as a covariance, a diagonal one by its
-    standard deviations, a singular Q by a common factor, a function by its numbers. `state`: names of parts of the
+    standard deviations, a singular Q by a common factor, a function by its numbers. P0: by default 1e6 · I, in single
+    precision less where readings are so precise that it cannot hold both. `state`: names of parts of the
     state with their lengths in order, as {"position": 2, "velocity": 2}; metrics know `position`. Raises UnusableInput
     for shapes that do not fit.
     """
@@ -76,7 +80,8 @@ def linear(
         return [a + b for a, b in zip(moved, control([u[k] for k in range(len(u))], dt, inputs), strict=True)]
 
     functions = {name: _product(f"H of {name}", h, "m", size) for name, h in sensors.items()}
-    return _tracker(step, functions, Q, R, size, x0, P0, state)
+    gain = max([float(np.square(h).max()) for h in sensors.values() if not callable(h)] or [1.0])
+    return _tracker(step, functions, Q, R, size, x0, P0, state, gain)
 
 
 def nonlinear(
@@ -256,6 +261,7 @@ def _tracker(
     x0: Sequence[float] | None,
     P0: Any,
     state: Mapping[str, int] | None,
+    gain: float = 1.0,
 ) -> Tracker:
     parts = tuple((state or {"x": size}).items())
     mean = np.zeros(size) if x0 is None else floats("x0", x0)
@@ -263,7 +269,6 @@ def _tracker(
     if not fits or not size or sum(length for _, length in parts) != size or mean.shape != (size,):
         found = f"a state of {size} numbers with state = {dict(parts)} and x0 = {mean.tolist()}"
         raise UnusableInput(f"{found}; expected {size} each, named as variables")
-    cov = _covariance("P0", DIFFUSE * np.eye(size) if P0 is None else P0, size)[0]
     noises = R if isinstance(R, Mapping) else {SENSOR: R}
     if set(noises) != set(functions):
         raise UnusableInput(f"sensors {', '.join(functions)} and R of {', '.join(noises)}; expected the same names")
@@ -271,6 +276,14 @@ def _tracker(
     for name, function in functions.items():
         noise = _noise(f"R of {name}", noises[name], None, "measurement noise")
         sensors[name] = _Sensor(R=noise, function=function, size=noise.size, view_fields=names)
+    least = min(float(s.R.entries(1.0)[k][k]) for s in sensors.values() for k in range(s.size))  # type: ignore[attr-defined]
+    single = jax.dtypes.canonicalize_dtype(float) == np.float32
+    most = RESOLVED * least / gain if single else np.inf
+    cov = _covariance("P0", min(DIFFUSE, most) * np.eye(size) if P0 is None else P0, size)[0]
+    if P0 is not None and np.diag(cov).max() > most:
+        found = f"P0 has a variance of {np.diag(cov).max():g}, beside readings with one of {least / gain:.2g}"
+        fix = f"give at most {most:.2g}, or jax.config.update('jax_enable_x64', True)"
+        warnings.warn(f"{found}: too far apart for single precision, first rows are too uncertain; {fix}", stacklevel=3)
     motion = _Motion(_noise("Q", Q, size, "process noise"), step, parts)
     start = _Prior(tuple(mean.tolist()), tuple(float(cov[i, j]) for i, j in triangle(size)), parts)
     return Tracker(motion, sensors, start, track_loss=TrackLossPolicy(np.inf, max_gap=np.inf))
