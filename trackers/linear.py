@@ -38,6 +38,7 @@ Matrix = Float[np.ndarray, "n n"] | Callable[..., Any] | tuple[Callable[..., Any
 
 SENSOR = "z"  # the name of the readings where there is one sensor alone
 DIFFUSE = 1e6  # variance of each component of the state where no `P0` is given
+COARSE = 0.02  # rounding of the values of a series, in their changes from row to row, from which it counts
 RESOLVED = 2.0**15  # the most by which a reading reduces a variance in single precision, see `sequential_updates`
 
 _SINGULAR = 1e-12
@@ -134,6 +135,12 @@ def series(
     for sensor, x in by_sensor.items():
         values, seen = masked(f"series: the values of {sensor}", x, rows)
         readings[sensor] = Readings(values, seen, variances(spread.get(sensor), values))
+        size = np.median(np.abs(values), axis=0)
+        changes = np.median(np.abs(np.diff(values, axis=0, prepend=values[:1])), axis=0)
+        step = np.spacing(size.astype(jax.dtypes.canonicalize_dtype(float)))
+        if ((step > COARSE * changes) & (changes > 0)).any():
+            found = f"series: values of {sensor} of {size.max():.3g} have steps of {step.max():.2g} in single precision"
+            warnings.warn(f"{found}; subtract an origin, or jax.config.update('jax_enable_x64', True)", stacklevel=2)
     truths = {key: known_rows(f"series: the truth of {key}", x, rows) for key, x in (truth or {}).items()}
     given = {key: floats(key, x) for key, x in inputs.items()}
     return Recording(np.arange(float(rows)) if times is None else times, readings, given, truths, name)
@@ -314,7 +321,8 @@ def _covariance(what: str, given: Any, size: int | None) -> tuple[np.ndarray, np
     matrix = np.atleast_2d(floats(what, given))
     _fits(what, matrix.shape, *[size or len(matrix)] * 2)
     eigenvalues, vectors = np.linalg.eigh(np.nan_to_num(matrix))
-    zero = (1e-6 if getattr(given, "dtype", None) == np.float32 else _SINGULAR) * eigenvalues[-1]
+    diagonal = np.count_nonzero(matrix - np.diag(np.diag(matrix))) == 0  # of other units
+    zero = (1e-6 if getattr(given, "dtype", None) == np.float32 else _SINGULAR) * eigenvalues[-1] * (not diagonal)
     symmetric = np.allclose(matrix, matrix.T, rtol=1e-9, atol=zero)
     if not symmetric or not np.isfinite(matrix).all() or eigenvalues[0] < -zero:
         raise UnusableInput(f"{what} = {matrix.tolist()}; expected a symmetric covariance, positive semidefinite")
@@ -364,7 +372,13 @@ def _refuse_unread(inputs: Inputs, of: str, words: str, *functions: tuple[Any, i
 
 @lru_cache
 def _kind(names: tuple[str, ...]) -> Any:
-    return namedtuple("State", names)
+    # A class without a module is made anew where its states are unpickled.
+    pickled = {"__slots__": (), "__reduce__": lambda state: (_remade, (names, tuple(state)))}
+    return type("State", (namedtuple("State", names),), pickled)
+
+
+def _remade(names: tuple[str, ...], parts: tuple[Any, ...]) -> Any:
+    return _kind(names)(*parts)
 
 
 def _state(parts: tuple[tuple[str, int], ...], numbers: Sequence[Scalar]) -> Any:

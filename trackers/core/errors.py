@@ -124,6 +124,9 @@ def numbered_names(names: Sequence[str]) -> list[str]:
     return [name if first[name] == k else f"{name} {k + 1}" for k, name in enumerate(names)]
 
 
+COARSE_S = 1e-2  # spacing of times in single precision from which they are no longer told apart
+
+
 def seconds(times: Any) -> np.ndarray:
     """Numbers as they are, time stamps as seconds since 1970 (UTC where they have a time zone), durations as seconds.
 
@@ -144,6 +147,8 @@ def seconds(times: Any) -> np.ndarray:
         fine = values.astype(f"{'datetime64' if values.dtype.kind == 'M' else 'timedelta64'}[ns]").astype(np.int64)
         values = np.where(missing, np.nan, fine // 10**9 + (fine % 10**9) / 1e9)
     else:
+        if values.dtype == np.float32 and (step := float(np.spacing(np.abs(values).max(initial=0.0)))) > COARSE_S:
+            raise UnusableInput(f"times in single precision have steps of {step:.2g} s; expected double precision")
         return floats("times", times)
     if np.isnan(values).any():
         raise UnusableInput(f"times[{int(np.argmax(np.isnan(values)))}] is missing (NaT); leave the row out")

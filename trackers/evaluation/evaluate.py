@@ -116,7 +116,7 @@ def rows_of(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore)
     several = _several(recordings)
     table = estimates.to_polars() if hasattr(estimates, "to_polars") else estimates
     require(isinstance(table, pl.DataFrame), "evaluate", estimates, "estimates, or their table `to_polars()`")
-    if "tag" not in table.columns and not isinstance(estimates, pl.DataFrame):
+    if "tag" not in table.columns and not any(isinstance(recording, RecordingFolder) for recording in several):
         names = [*getattr(estimates, "names", ())]
         if len({*names}) < len(names) and names != [recording.name for recording in several]:
             found = f"recordings of the run share a name ({', '.join(names)}) and have only their places"
