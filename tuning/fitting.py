@@ -36,6 +36,7 @@ from trackwright.tuning.problem import Evaluation, Problem
 from trackwright.tuning.uncertainty import (
     Interval,
     Uncertainty,
+    far_better,
     kept_at_start,
     optimum,
     refit,
@@ -267,6 +268,15 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         uncertainty = uncertainty_at(problem, best, bound, hidden)
         # A point that others select is no optimum, and its curvature shows nothing.
         if driver.held_out is None and not best.prior.any():
+            for _ in range(ANEW):
+                if (other := far_better(problem, uncertainty, driver.low, driver.high)) is None:
+                    break
+                later = driver.init(other)
+                while not driver.done(later):
+                    later = driver.step(later)
+                best = newton(driver, later.best_vectors[0])
+                bound = driver.at_bound(best.vector, best.gradient)
+                uncertainty = uncertainty_at(problem, best, bound, hidden)
             gain = float(state.past_values[0, 0]) - best.value
             kept, at_start = kept_at_start(problem, uncertainty, start, gain)
             if at_start.any():
@@ -324,6 +334,7 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
     return [Step(float(value), float(norm), by_label(parameters, vector)) for value, norm, vector in steps]
 
 
+ANEW = 4  # fits at most from other places, where a number is flat as far as the slope tells
 MOST_FOLDS = 10  # fits at most: of more recordings several are left out at once
 
 

@@ -320,6 +320,7 @@ def _updated(
 
 PART = 0.05  # part of what a fit gained that a flat number may have gained, where the objective is no likelihood
 NATS = 1.92  # rise of a likelihood, nats, within which a value is in the 95 % interval of a profile (Wilks 1938)
+HALF_DECADES = np.log(10.0) / 2.0 * np.array([*range(-6, 0), *range(1, 7)])
 ROUNDS = 8  # steps of the other numbers with one at its starting value
 
 
@@ -353,6 +354,24 @@ def loose_groups(uncertainty: Uncertainty, free: Bool[np.ndarray, " p"]) -> dict
         part = np.abs(direction) > MIN_COMPONENT
         groups.setdefault(tuple(indices[part].tolist()), []).append(float(sigma))
     return groups
+
+
+def far_better(
+    problem: Problem, uncertainty: Uncertainty, low: Float[np.ndarray, " p"], high: Float[np.ndarray, " p"]
+) -> Float[np.ndarray, " p"] | None:
+    """The best point (p,) with a flat number up to a thousand times another, better by `NATS`; None where none is.
+
+    A noise level that is far too small, or hidden by another that is too large, has no slope where it is.
+    """
+    best, least = None, uncertainty.optimum.value - NATS / uncertainty.optimum.nats_per_unit
+    for component in flat_components(uncertainty) if np.isfinite(least) and not problem.stochastic else ():
+        for step in HALF_DECADES:
+            shift = step * (np.arange(len(low)) == component)
+            trial = np.clip(uncertainty.optimum.vector + shift, low, high)
+            value = float(problem.finite_values(trial, problem.evaluate(trial).terms)[0])
+            if value < least:
+                best, least = trial, value
+    return best
 
 
 def kept_at_start(
