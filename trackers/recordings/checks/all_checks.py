@@ -40,10 +40,13 @@ def _results(recording: RecordingFolder, full: bool, calibrated: bool = False) -
             from trackwright.trackers.recordings.checks.mistakes import check_mistakes
 
             results += check_mistakes(view, calibrated)
-    if "ranges" in tables and "truth" not in tables and sound and not calibrated:
-        from trackwright.trackers.recordings.checks.mistakes import check_contradictions
+    for name in measured if "truth" not in tables and not calibrated else ():
+        # A height that is wrong contradicts all kinds.
+        sound = all(one.level != "error" for one in results)
+        if sound and KINDS[name].sensors and KINDS[name].predicted and not KINDS[name].numbered:
+            from trackwright.trackers.recordings.checks.mistakes import check_contradictions
 
-        results += check_contradictions(rig, tables["ranges"])
+            results += check_contradictions(recording, name)
     # Heights are a part of the frame.
     if "truth" in tables and not any(one.level == "error" and "the truth" in one.message for one in results):
         results += rules.check_heights(rig, tables["truth"])

@@ -1,6 +1,6 @@
 """The most likely mistakes in a table: changes of readings, rig or truth that explain nearly all rows, ranked once.
 
-Without truth: changes that make the ranges of one moment agree, each at the position that fits them best with it.
+Without truth: changes that make the readings of one moment agree, each at the position that fits them best with it.
 """
 
 from __future__ import annotations
@@ -15,10 +15,16 @@ import polars as pl
 from jaxtyping import Float
 
 from trackwright.trackers.core.errors import listed, significant
-from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.recordings.checks.readings import Compared, about_vertical, known_median, robust_fit
+from trackwright.trackers.recordings.checks.readings import (
+    Compared,
+    about_vertical,
+    known_median,
+    readings_of,
+    robust_fit,
+)
 from trackwright.trackers.recordings.checks.rules import CheckResult, Level
-from trackwright.trackers.recordings.kinds import KINDS, Kind
+from trackwright.trackers.recordings.folder import RecordingFolder
+from trackwright.trackers.recordings.kinds import KINDS
 
 # Log ratios of errors: price of a change and of each number, least gain, and that of numbers for one sensor. Errors
 # left, in those that need no explanation, and share of rows below three of these; ratio of errors from which a sensor
@@ -27,14 +33,16 @@ PENALTY, GAIN, FITTED_GAIN, EXPLAINED, NEARLY, BROKEN, FEW = 0.06, 0.65, 1.0, 2.
 # Readings of the first search, starts that go on, ratio of errors of fits that do alike; most sensors, and the sum of
 # log ratios, of an exchange. Delays: least beside a frame, most that is tracked, most that is tried.
 COARSE, STARTS, ALIKE, MOST_SWAPPED, CLEAR, LEAST_CLOCK_S, LATENCY_S, LONGEST_S = 240, 5, 1.2, 32, 1.5, 0.05, 1.0, 60.0
-# Without truth: moments compared, ranges of one beyond its unknowns, errors that contradict, m, by how much a change
-# lowers them, how many may stay, steps to a position, and anchors of which two may be swapped.
-MOMENTS, SPARE, CONTRADICTED, FALL, FEW_LEFT, STEPS, MOST_PAIRED = 60, 2, 0.5, 3.0, 0.25, 12, 12
+# Without truth: moments compared, numbers of one beyond its unknowns, errors that contradict, m, by how much a change
+# lowers them, how many may stay, steps to a position, anchors of which two may be swapped,
+# and a small way, m.
+MOMENTS, SPARE, CONTRADICTED, FALL, FEW_LEFT, STEPS, MOST_PAIRED, NEAR = 60, 2, 0.5, 3.0, 0.25, 12, 12, 1e-4
 
 FACTORS = {0.001: "millimetres", 0.01: "centimetres", 0.3048: "feet", 0.0254: "inches", 1e3: "kilometres"}
 # By the first column of a table, factors to its unit and what they undo.
 UNITS = {
-    "range_m": FACTORS | {0.5: "round-trip distances", 2.0: "halved distances"},
+    "range_m": FACTORS
+    | {0.3048: "feet, or nanoseconds (0.2998)", 0.5: "round-trip distances", 2.0: "halved distances"},
     # Some place has all differences nearly zero, so that every small factor makes errors small.
     "range_difference_m": {-1.0: "of the wrong sign", 0.2998: "nanoseconds or feet", 0.5: "doubled", 2.0: "halved"},
     "x_m": FACTORS,
@@ -76,36 +84,42 @@ class Found(NamedTuple):
     after: np.ndarray
 
 
-def _scaled(kind: Kind, columns: Sequence[str]) -> Iterator[tuple[str, str, str, float]]:
-    """Words, cause, field and factor of other units and signs of readings and of the places of their sensors."""
-    default = {-1.0: "of the wrong sign"} if len(columns) == 1 else {}
-    for f, unit in UNITS.get(columns[0], default).items():
-        yield f"the {kind.name} multiplied by {f:g}", f"{kind.name} are {unit}; convert them", "values", f
+def _linear(
+    words: str, cause: str, field: str, factors: Any, order: Any = slice(None), of: str = "", each: bool = False
+) -> Change:
+    """A change of the columns of a field, in another order and multiplied."""
+
+    def apply(v: Compared, _: Any) -> Compared:
+        return v.changed(**{field: getattr(v if field in v._fields else v.sensors, field)[:, order] * factors})
+
+    return Change(words, cause, apply, each, of)
+
+
+def _conventions(view: Compared) -> Iterator[Change]:
+    """Other units, signs and orders of the readings, and units of the places of their sensors."""
+    kind, default = view.kind, {-1.0: "of the wrong sign"} if len(view.columns) == 1 else {}
+    each = bool(kind.sensors) and not kind.difference  # the unit of a difference is a message
+    for f, unit in UNITS.get(view.columns[0], default).items():
+        cause = f"{kind.name} are {unit}; convert them"
+        yield _linear(f"the {kind.name} multiplied by {f:g}", cause, "values", f, each=each)
     for f, unit in FACTORS.items() if kind.sensors else ():
-        words = f"the positions of the {kind.noun}s multiplied by {f:g}"
-        yield words, f"rig.toml is in {unit}; convert it", "places", f
+        cause = f"rig.toml is in {unit}; convert it"
+        yield _linear(f"the positions of the {kind.noun}s multiplied by {f:g}", cause, "places", f)
+    cause = "angles of another convention, or the station turned; correct them"
+    yield from (_linear(words, cause, "values", signs, axes, "", each) for words, axes, signs in ANGLES if kind.angles)
 
 
 def _changes(view: Compared) -> Iterator[Change]:
     """All changes of the readings of a table."""
-    kind, each = view.kind, bool(view.kind.sensors) and not view.kind.difference
-
-    def linear(words: str, cause: str, field: str, factors: Any, order: Any = slice(None), of: str = "") -> Change:
-        def apply(v: Compared, _: Any) -> Compared:
-            return v.changed(**{field: getattr(v if field in v._fields else v.sensors, field)[:, order] * factors})
-
-        return Change(words, cause, apply, each and field == "values", of)  # the unit of a difference is a message
-
-    yield from (linear(*one) for one in _scaled(kind, view.columns))
-    cause = "angles of another convention, or the station turned; correct them"
-    yield from (linear(words, cause, "values", signs, axes) for words, axes, signs in ANGLES if kind.angles)
+    kind = view.kind
+    yield from _conventions(view)
     for f, unit in FACTORS.items():
-        yield linear(f"the truth multiplied by {f:g}", f"truth in {unit}; convert it", "positions", f)
+        yield _linear(f"the truth multiplied by {f:g}", f"truth in {unit}; convert it", "positions", f)
     cause = f"the truth has other axes than {'the fixes' if kind.position else 'rig.toml'}; bring both into one frame"
     for axes, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
         read = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(axes, signs, strict=True))
         of = "height" if read == "x, y, -z" else ""
-        yield linear(f"x, y, z of the truth read as {read}", cause, "positions", signs, list(axes), of)
+        yield _linear(f"x, y, z of the truth read as {read}", cause, "positions", signs, list(axes), of)
     yield from _exchanged(view) if kind.sensors and len(view.ids) <= MOST_SWAPPED else ()
     yield from _of_rig(view) if kind.sensors else ()
     yield from _of_truth(view)
@@ -297,81 +311,107 @@ def _errors_of(view: Compared, groups: np.ndarray, sizes: np.ndarray, named: boo
 
 
 class Moments(NamedTuple):
-    """Ranges of M moments, m, NaN of anchors not heard, places of the A anchors, and known heights, else NaN."""
+    """Readings of M moments of tags, as many of each, NaN where fewer; their known heights (M,), m, else NaN.
 
-    values: Float[np.ndarray, "M A"]
-    places: Float[np.ndarray, "A 3"]
+    `unit`: the error of a reading that counts as much as one of a range by 1 m.
+    """
+
+    view: Compared
     heights: Float[np.ndarray, " M"]
+    unit: float
 
-    def errors(self) -> tuple[Float[np.ndarray, "M A"], Float[np.ndarray, " A"]]:
-        """Distances of the ranges from those of the position that fits most of each moment, and the typical ones."""
-        heard, known = np.isfinite(self.values), np.isfinite(self.heights)
-        x = np.repeat(self.places.mean(axis=0)[None], len(heard), axis=0)
-        x[:, 2] = np.where(known, self.heights, self.places[:, 2].min() - 1.0)
-        free = np.where(known[:, None], [1.0, 1.0, 0.0], 1.0)
+    def errors(self) -> Float[np.ndarray, "N m"]:
+        """What readings differ from those of the position that fits most of each moment, in units."""
+        places, known, M = self.view.sensors.places, np.isfinite(self.heights), len(self.heights)
+        x = np.repeat(places.mean(axis=0)[None], M, axis=0)
+        x[:, 2] = np.where(known, self.heights, places[:, 2].min() - 1.0)
+        free, most = np.where(known[:, None], [1.0, 1.0, 0.0], 1.0), 1.0 + np.linalg.norm(np.ptp(places, axis=0))
+
+        def at(x: np.ndarray) -> np.ndarray:
+            positions = np.repeat(x, len(self.view.tag) // M, axis=0)
+            return self.view._replace(positions=positions).errors().reshape(M, -1) / self.unit
+
         for _ in range(STEPS):
-            away = x[:, None] - self.places
-            distance = np.maximum(np.linalg.norm(away, axis=2), 1e-3)
-            error = np.where(heard, distance - self.values, 0.0)
-            scale = np.maximum(np.nanmedian(np.where(heard, np.abs(error), np.nan), axis=1), 0.05)
-            weight = heard / (1.0 + (error / (2.0 * scale[:, None])) ** 2)
-            slope = away / distance[..., None] * free[:, None]
+            error = at(x)
+            slope = np.stack([at(x + by) - error for by in NEAR * np.eye(3)], axis=-1) / NEAR * free[:, None]
+            scale = np.maximum(np.nanmedian(np.abs(error), axis=1, keepdims=True), 0.05)
+            weight = np.isfinite(error) / (1.0 + np.nan_to_num(error / (2.0 * scale)) ** 2)
+            error, slope = np.nan_to_num(error), np.nan_to_num(slope)
             normal = np.einsum("ma,mai,maj->mij", weight, slope, slope) + 0.02 * np.eye(3)
-            x -= np.linalg.solve(normal, np.einsum("ma,ma,mai->mi", weight, error, slope)[..., None])[..., 0]
-        errors = np.where(heard, np.abs(error), np.nan)
-        return errors, np.nan_to_num(known_median(errors))
+            step = np.linalg.solve(normal, np.einsum("ma,ma,mai->mi", weight, error, slope)[..., None])[..., 0]
+            x -= step * np.minimum(1.0, most / np.maximum(np.linalg.norm(step, axis=1), NEAR))[:, None]
+        return at(x).reshape(self.view.values.shape)
+
+    def typical(self, errors: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " G"]:
+        """The typical size of the errors of each anchor or station, of the column with the largest ones."""
+        of = [(self.view.sensors.number == k).any(axis=1) for k in range(len(self.view.ids))]
+        return np.nan_to_num(np.stack([known_median(np.abs(errors[part])) for part in of])).max(axis=1)
 
 
-def _moments(rig: Rig, ranges: pl.DataFrame) -> Moments:
-    """Moments of tags in which so many anchors are heard that their ranges can contradict each other."""
-    names, known = [*rig.anchors], {tag: of.height for tag, of in rig.tags.items() if of.height is not None}
-    table = ranges.select("t_s", "range_m", pl.col("tag", "anchor").cast(pl.String)).filter(pl.col("range_m") > 0)
-    step = table.group_by("tag").agg((pl.col("t_s").max() - pl.col("t_s").min()) / pl.len())["t_s"].median()
-    window = min(max(1.5 * len(names) * float(step or 0.0), 0.1), 1.0)  # type: ignore[arg-type]
-    at = table.with_columns(at=(pl.col("t_s") / window).floor())
-    wide = at.pivot("anchor", index=["tag", "at"], values="range_m", aggregate_function="median")
-    silent = pl.DataFrame(schema=dict.fromkeys(names, pl.Float64))
-    values = pl.concat([silent, wide], how="diagonal").select(names).to_numpy()
-    heights = np.array([known.get(tag, np.nan) for tag in wide["tag"]])
-    enough = np.flatnonzero(np.isfinite(values).sum(axis=1) >= np.where(np.isfinite(heights), 2, 3) + SPARE)
-    enough = enough[:: -(-len(enough) // MOMENTS) or 1]
-    return Moments(values[enough], np.stack([*rig.anchors.values()]), heights[enough])
+def _moments(recording: RecordingFolder, table: str) -> Moments:
+    """Moments of tags in which so many anchors or stations are heard that they can contradict each other."""
+    view, tags = readings_of(recording, table), recording.rig.tags
+    number, of_tags = view.sensors.number, [view.times[view.tag == k] for k in range(len(view.tags))]
+    window = 1.5 * len(view.ids) * float(np.median([np.ptp(t) / len(t) for t in of_tags]))
+    heights = np.array([getattr(tags.get(tag), "height", None) for tag in view.tags], float)[view.tag]
+    values = np.where(view.kind.columns[0].positive & ~(view.values > 0.0), np.nan, view.values)
+    at = {"at": np.floor(view.times / min(max(window, 0.1), 1.0)), "tag": view.tag, "height": heights}
+    at |= {"pair": number @ len(view.ids) ** np.arange(number.shape[1]), "row": np.arange(len(number))}
+    # One reading of each anchor, station or pair.
+    each = pl.DataFrame(at)[np.flatnonzero(np.isfinite(values).any(axis=1))].unique(["tag", "at", "pair"])
+    groups = each.sort("row").group_by("tag", "at", maintain_order=True).agg("row", pl.col("height").first())
+    unknowns = 3 - pl.col("height").is_finite().cast(pl.Int64)
+    groups = groups.filter(pl.col("row").list.len() * len(view.columns) >= unknowns + SPARE)
+    groups = groups.gather_every(-(-len(groups) // MOMENTS) or 1)
+    most = groups["row"].list.len().max() or 1
+    rows = groups["row"].list.gather(range(most), null_on_oob=True).explode()  # type: ignore[arg-type]
+    part = view._replace(values=values).of_rows(rows.fill_null(0).to_numpy())
+    filled = np.where(rows.is_null().to_numpy()[:, None], np.nan, part.values)
+    unit = view.kind.columns[0].large / KINDS["ranges"].columns[0].large
+    return Moments(part._replace(values=filled), groups["height"].to_numpy(), unit)
 
 
-def _explanations(given: Moments, names: list[str], typical: np.ndarray) -> Iterator[tuple[str, list[int], Moments]]:
+def _explanations(given: Moments, typical: np.ndarray) -> Iterator[tuple[str, list[int], Moments]]:
     """What would explain contradictions: its words, the anchors whose errors it lowers, and the moments with it."""
-    everyone, number = [*range(len(names))], np.arange(len(names))
-    for words, cause, field, factor in _scaled(KINDS["ranges"], ("range_m",)):
-        yield f"with {words}: {cause}", everyone, given._replace(**{field: getattr(given, field) * factor})
+    view, everyone, noun = given.view, [*range(len(given.view.ids))], given.view.kind.noun
+    for change in _conventions(view):
+        yield f"with {change.words}: {change.cause}", everyone, given._replace(view=change.apply(view, np.zeros(0)))
+    if view.kind.unit == "m" and not view.kind.difference:
+        less = lambda x: given._replace(view=view._replace(values=view.values - x))  # noqa: E731
+        x, _ = robust_fit(lambda x: less(x).errors(), np.zeros(1))
+        cause = f"an offset of the {view.kind.name}, as of an uncalibrated antenna delay; calibrate the anchors"
+        yield f"with {x[0]:+.2f} m subtracted: {cause}", everyone, less(x)
     words = "with other heights of the tags: correct height_m in rig.toml"
     yield words, everyone, given._replace(heights=np.full(len(given.heights), np.nan))
-    for k, name in enumerate(names):
-        words = f"without anchor {name}: its id, place or unit is wrong, or it is broken"
-        yield words, [k], given._replace(values=np.where(number == k, np.nan, given.values))
+    for k, name in enumerate(view.ids):
+        values = np.where((view.sensors.number == k).any(axis=1)[:, None], np.nan, view.values)
+        words = f"without {noun} {name}: its id, place or unit is wrong, or it is broken"
+        yield words, [k], given._replace(view=view._replace(values=values))
     worst = sorted(np.argsort(-typical)[:MOST_PAIRED].tolist())
     for i, j in combinations([k for k in worst if typical[k] > CONTRADICTED / 5], 2):
-        order = [{i: j, j: i}.get(k, k) for k in everyone]
-        words = f"with anchors {names[i]} and {names[j]} swapped: their ids are mixed up; correct rig.toml or the table"
-        yield words, [i, j], given._replace(places=given.places[order])
+        order, names = [{i: j, j: i}.get(k, k) for k in everyone], f"{noun}s {view.ids[i]} and {view.ids[j]}"
+        words = f"with {names} swapped: their ids are mixed up; correct rig.toml or the table"
+        swapped = view.changed(places=view.sensors.places[order], axes=view.sensors.axes[order])
+        yield words, [i, j], given._replace(view=swapped)
 
 
-def check_contradictions(rig: Rig, ranges: pl.DataFrame) -> Iterator[CheckResult]:
-    """An error for the change with which the ranges agree best; a warning of one anchor that contradicts the others."""
-    names, found = [*rig.anchors], list[tuple[float, Level, str]]()
-    if len(names) < 2 + SPARE or len((given := _moments(rig, ranges)).values) < 5:
-        return
-    _, typical = given.errors()
-    large, heard = typical > CONTRADICTED, np.isfinite(given.values)
-    if not large.any():
-        return
-    for words, of, changed in _explanations(given, names, typical):
-        (after, left), alone = changed.errors(), words.startswith("without")
-        was, most = typical[of].max(), (left if alone else left[of]).max()
-        if was > CONTRADICTED and most < was / FALL and np.mean(after[np.isfinite(after)] > CONTRADICTED) < FEW_LEFT:
-            # A range without its anchor remains unexplained.
+def check_contradictions(recording: RecordingFolder, table: str) -> Iterator[CheckResult]:
+    """An error for the change with which readings agree best; a warning of one sensor that contradicts the others."""
+    given, found = _moments(recording, table), list[tuple[float, int, Level, str]]()
+    errors, (unit, factor) = given.errors() if len(given.heights) >= 5 else np.zeros((0, 1)), given.view.kind.shown
+    typical, heard, factor = given.typical(errors), np.isfinite(errors), factor * given.unit
+    least = CONTRADICTED / (4.0 if given.view.kind.angles else 1.0)  # angles of another convention may nearly agree
+    for words, of, changed in _explanations(given, typical) if (typical > least).any() else ():
+        after, alone = np.abs(changed.errors()), words.startswith("without")
+        left, was = changed.typical(after), typical[of].max()
+        most = (left if alone else left[of]).max()
+        if was > least and most < was / FALL and np.mean(after[np.isfinite(after)] > CONTRADICTED) < FEW_LEFT:
+            # A reading without its sensor remains unexplained; of changes that do alike the first one is meant.
             cost = float(np.mean(np.log(np.where(np.isfinite(after), after, CONTRADICTED)[heard] + 0.05)))
-            message = f"contradict each other by {was:.2g} m, and by {most:.2g} m {words}"
-            found.append((cost, "warning" if alone else "error", message))
-    unexplained = f"of {listed(compress(names, large))} contradict others of the same moment by {typical.max():.2g} m"
-    _, level, message = min(found, default=(0.0, "warning", unexplained))
-    yield CheckResult(level, "ranges", message)
+            words = f"contradict each other by {factor * was:.2g}{unit}, and by {factor * most:.2g}{unit} {words}"
+            found.append((round(cost, 2), len(found), "warning" if alone else "error", words))
+    if (large := typical > CONTRADICTED).any() and not found:
+        names = listed(compress(given.view.ids, large))
+        words = f"of {names} contradict others of the same moment by {factor * typical.max():.3g}{unit}"
+        found.append((0.0, 0, "warning", words))
+    yield from (CheckResult(level, table, words) for *_, level, words in sorted(found)[:1])

@@ -83,17 +83,22 @@ class Compared(NamedTuple):
         return np.asarray((self.sizes() > self.kind.sizes("large", len(self.columns))).any(axis=1))
 
 
+def readings_of(recording: RecordingFolder, table: str) -> Compared:
+    """The readings of a table, one tag after another, without positions."""
+    rows, kind = recording.rows(table), KINDS[table]
+    measured, tag, tags = kind.measured(recording.rig, rows), rows.of_each(np.arange(len(rows.tags))), tuple(rows.tags)
+    ids, group = (measured.ids, measured.sensors.number[:, 0]) if kind.sensors else (tags, tag)
+    at = rows.times, measured.values, np.full((len(tag), 3), np.nan)
+    return Compared(kind, ids, tags, measured.columns, group, tag, *at, measured.sensors, recording.paths)
+
+
 def compared(recording: RecordingFolder, table: str) -> Compared | None:
     """The readings of a table beside the truth; None where too few of them have a true position."""
     kind = KINDS[table]
     if kind.predicted is None or not {table, "truth"} <= {*recording.tables}:
         return None
-    rows = recording.rows(table)
-    measured, tag, tags = kind.measured(recording.rig, rows), rows.of_each(np.arange(len(rows.tags))), tuple(rows.tags)
-    number, columns, paths = measured.sensors.number, measured.columns, recording.paths
-    ids, group = (measured.ids, number[:, 0]) if kind.sensors else (tags, tag)
-    times, values, unknown = rows.times, measured.values, np.full((len(tag), 3), np.nan)
-    view = Compared(kind, ids, tags, columns, group, tag, times, values, unknown, measured.sensors, paths)
+    view = readings_of(recording, table)
+    tag, tags, ids, number = view.tag, view.tags, view.ids, view.sensors.number
     if kind.difference:
         # Each is one of both its anchors, whichever is the first.
         number = np.concatenate([number, number[:, ::-1]])

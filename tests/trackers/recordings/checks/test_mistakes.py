@@ -141,7 +141,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "height of the tag": Case("error", "correct height_m", lambda one: replace(one, rig=replace(one.rig, tags={"T": Tag(height=11.0)}))),
         "ids exchanged": Case("error", "with anchors A2 and A5 swapped", _exchanged("A2", "A5")),
         "feet of an anchor": Case(
-            "warning", "0.044 m without anchor A4", with_columns("ranges", range_m=pl.when(A1 == "A4").then(R / 0.3048).otherwise(R)),
+            "warning", "m without anchor A4", with_columns("ranges", range_m=pl.when(A1 == "A4").then(R / 0.3048).otherwise(R)),
         ),
         "a broken anchor": Case("warning", "without anchor A5", with_columns("ranges", range_m=pl.when((A1 == "A5") & (T > 10)).then(5.0).otherwise(R))),
         "an anchor elsewhere": Case("warning", "without anchor A2", together(only("ranges"), _anchor("A2", (6.0, -6.0, 2.4)))),
