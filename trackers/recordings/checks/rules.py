@@ -57,13 +57,15 @@ def _near(size: float) -> pl.Expr:
 _BEYOND, _TYPICAL = SIZE > BOUND + 1e-3, "typical {name} {typical:,.4g} "  # with room for π rounded up in text
 _TURN, _LIES = 2 * math.pi, "{share:.0%} of {name} lie beyond ±{bound:.3g}: looks like "
 _TURNED = (X.is_between(-1e-3, _TURN + 1e-3) & (((X + _TURN / 2) % _TURN - _TURN / 2).abs() <= BOUND + 1e-3)).all()
-_LONG = SIZE.median() > BOUND
+_LONG, _UPRIGHT = SIZE.median() > BOUND, X.is_between(0.0, math.pi).all()
 
 UNITS = (
     Rule("error", "phases", SIZE.median() > _TURN, _TYPICAL + "rad: looks like degrees, expected (-π, π]"),
     Rule("error", "gyro", SIZE.quantile(0.95) > 35.0,  # the full scale of common gyroscopes
          "turn rates beyond 35 rad/s: looks like degrees per second, expected radians"),
-    Rule("error", "rad", _BEYOND & ~_TURNED, _LIES + "degrees, expected radians", 0.1),
+    Rule("error", "rad", _BEYOND & ~_TURNED & ~_UPRIGHT, _LIES + "degrees, expected radians", 0.1),
+    Rule("error", "rad", _BEYOND & ~_TURNED & _UPRIGHT, _LIES + "angles from the vertical, expected elevations: map "
+         "90 less them, in deg", 0.1),
     Rule("error", "radps mps", _BEYOND, _LIES + "degrees, or millimetres or centimetres, per second", 0.1),
     Rule("error", "place m", _LONG, _TYPICAL + "m{site}: looks like centimetres, millimetres or another frame"),
     # A signal takes 1e-6 s for 300 m; in metres some values exceed their resolution.
@@ -84,6 +86,8 @@ ANOMALIES = (
     # Also where many are wild, and so are the neighbours of most.
     Rule("warning", " ".join(LEAST_JUMP), C("away") > (14.826 * C("away").median().over("stream")).clip(BOUND),
          "outliers of {name}: {n}, the worst {x:.4g} at {place}"),
+    Rule("warning", "step", (X > 1.0) & (X > 30.0 * DT),
+         "jumps of the truth beyond 1 m and 30 m/s: {n}, the worst {x:.3g} m at {place}; not seen there? leave it out"),
 )  # fmt: skip
 """Three of values by themselves, then along streams: `bound` is the least jump, `away` the distance from neighbours."""
 
@@ -174,10 +178,16 @@ def check_rows(rig: Rig, tables: Tables) -> Results:
             yield CheckResult("warning", name, f"duplicate rows: {exact}; counted once")
         if again := repeated.height - repeated.n_unique(["stream", "t_s"]) - exact:
             what = f"rows with the time of another row of the same sensor and tag: {again}; kept"
-            yield CheckResult("warning", name, what + "; the stamps have lost digits" * (again > rows.height / 2))
+            several = "; the rows of several tags as one?" if again > rows.height / 10 else ""
+            yield CheckResult(
+                "warning", name, what + ("; the stamps have lost digits" if 2 * again > rows.height else several)
+            )
         # Which anchors a message has in common changes from one to the next.
         along = streams(rows.drop("stream", "dt"), ids[:1]) if kind.difference else rows
         yield from broken(ANOMALIES[3:], name, "t_s", "t_s", along.with_columns(x=T)) if name != "truth" else ()
+        if name == "truth":
+            step = (C("x_m").diff() ** 2 + C("y_m").diff() ** 2).sqrt().over("stream")
+            yield from broken(ANOMALIES[5:], name, "truth", "step", rows.with_columns(x=step, bound=0.0))
         for column in values if name != "truth" else ():
             unit, x = column.rpartition("_")[2], C(column)
             away = (x - x.rolling_median(15, center=True, min_samples=5)).abs().over("stream")
