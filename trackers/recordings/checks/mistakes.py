@@ -334,8 +334,10 @@ class Moments(NamedTuple):
         for _ in range(STEPS):
             error = at(x)
             slope = np.stack([at(x + by) - error for by in NEAR * np.eye(3)], axis=-1) / NEAR * free[:, None]
-            scale = np.maximum(np.nanmedian(np.abs(error), axis=1, keepdims=True), 0.05)
-            weight = np.isfinite(error) / (1.0 + np.nan_to_num(error / (2.0 * scale)) ** 2)
+            heard = np.isfinite(error)
+            sizes = np.where(heard.any(axis=1, keepdims=True), np.abs(error), 0.0)
+            scale = np.maximum(np.nanmedian(sizes, axis=1, keepdims=True), 0.05)
+            weight = heard / (1.0 + np.nan_to_num(error / (2.0 * scale)) ** 2)
             error, slope = np.nan_to_num(error), np.nan_to_num(slope)
             normal = np.einsum("ma,mai,maj->mij", weight, slope, slope) + 0.02 * np.eye(3)
             step = np.linalg.solve(normal, np.einsum("ma,ma,mai->mi", weight, error, slope)[..., None])[..., 0]

@@ -111,6 +111,9 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "two time zones": Case("error", "2 hours apart", with_columns("imu", T + 7200.0)),
         "anchors on a line": Case("warning", "collinear", _places([0, 0, 2], [2, 0, 2], [4, 0, 2], [6, 0, 2.1]), False),
         "anchors at one place": Case("warning", "A1 and A2 have the same position", _places([0, 0, .3], [0, 0, .3], [6, 5, .4], [0, 5, 2.9]), False),
+        "zenith angles": Case("error", "angles from the vertical", with_columns("bearings", elevation_rad=1.8 - ROW / 1e3)),
+        "truth at zero": Case("warning", "truth: jumps of the truth beyond 1 m and 30 m/s: 1", with_columns("truth", X * ~T.is_between(1, 2)), False),
+        "two tags as one": Case("warning", "several tags as one", with_columns("ranges", t_s=T - T % 0.2), False),
         "a gap": Case("warning", "ranges: gaps longer than 1 s: 8", with_rows("ranges", ~T.is_between(1.0, 3.0))),
     }),
     "hall": (hall, {
@@ -145,6 +148,8 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         ),
         "a broken anchor": Case("warning", "without anchor A5", with_columns("ranges", range_m=pl.when((A1 == "A5") & (T > 10)).then(5.0).otherwise(R))),
         "an anchor elsewhere": Case("warning", "without anchor A2", together(only("ranges"), _anchor("A2", (6.0, -6.0, 2.4)))),
+        "an offset of all": Case("error", "m subtracted: an offset of the ranges", with_columns("ranges", R + 1.5)),
+        "azimuths the other way": Case("error", "the sign of the azimuth flipped", together(only("bearings"), with_columns("bearings", -AZ))),
     }),
     "differences": (differences, {
         "the sign": Case("error", "the tdoa multiplied by -1", with_columns("tdoa", -TD)),
@@ -157,6 +162,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "truth of another origin": Case("error", "the truth shifted by (2.00", with_columns("truth", X - 2)),
     }),
     "differences without truth": (lambda: only("tdoa")(differences()), {
+        "the order of the anchors": Case("error", "m with the tdoa multiplied by -1", with_columns("tdoa", -TD)),
         "rounded": Case("warning", "equal the previous row of the same tag and sensor", with_columns("tdoa", TD.round(0)), False),
     }),
 }  # fmt: skip
