@@ -61,17 +61,10 @@ def fix_recording(
 
 
 def range_recording(
-    times: np.ndarray,
-    ranges: np.ndarray,
-    anchors: np.ndarray,
-    *,
-    anchor: np.ndarray | None = None,
-    std: np.ndarray | None = None,
-    height: float | None = None,
-    side: str | None = None,
-    truth: np.ndarray | None = None,
-    name: str = "recording",
-) -> Recording:
+    times: np.ndarray, ranges: np.ndarray, anchors: np.ndarray, *, anchor: np.ndarray | None = None,
+    std: np.ndarray | None = None, height: float | None = None, side: str | None = None,
+    truth: np.ndarray | None = None, name: str = "recording",
+) -> Recording:  # fmt: skip
     """Ranges to `anchors` (A, 3) m, one per row, as `range_tracker` reads them; `std`: of the shape of `ranges`, m.
 
     `ranges`: (T, A) m, one column per anchor, each of which becomes a row of its own; or (T,) with the number `anchor`

@@ -45,16 +45,9 @@ _SINGULAR = 1e-12
 
 
 def linear(
-    F: Any,
-    H: Any,
-    Q: Matrix,
-    R: Any,
-    *,
-    x0: Sequence[float] | None = None,
-    P0: Any = None,
-    B: Any = None,
+    F: Any, H: Any, Q: Matrix, R: Any, *, x0: Sequence[float] | None = None, P0: Any = None, B: Any = None,
     state: Mapping[str, int] | None = None,
-) -> Tracker:
+) -> Tracker:  # fmt: skip
     """The Kalman filter of x' = F x + B u + N(0, Q) and z = H x + N(0, R).
 
     F (n, n), H (m, n) and B (n, k) are arrays, or functions that return arrays: of `dt`, s, or of `dt` and the row's
@@ -86,15 +79,9 @@ def linear(
 
 
 def nonlinear(
-    step: Callable[..., Any],
-    measure: Any,
-    Q: Matrix,
-    R: Any,
-    *,
-    x0: Sequence[float],
-    P0: Any = None,
+    step: Callable[..., Any], measure: Any, Q: Matrix, R: Any, *, x0: Sequence[float], P0: Any = None,
     state: Mapping[str, int] | None = None,
-) -> Tracker:
+) -> Tracker:  # fmt: skip
     """The extended Kalman filter of x' = step(x, dt) + N(0, Q) and z = measure(x) + N(0, R), by automatic derivatives.
 
     Both are functions of jax arrays, x (n,), with the row's inputs as a further argument if they take one, and may
@@ -112,14 +99,9 @@ def nonlinear(
 
 
 def series(
-    z: Any,
-    *,
-    times: np.ndarray | None = None,
-    std: Any = None,
-    truth: Mapping[str, np.ndarray] | None = None,
-    name: str = "series",
-    **inputs: np.ndarray,
-) -> Recording:
+    z: Any, *, times: np.ndarray | None = None, std: Any = None, truth: Mapping[str, np.ndarray] | None = None,
+    name: str = "series", **inputs: np.ndarray,
+) -> Recording:  # fmt: skip
     """Measurements for a tracker of `linear` or `nonlinear`: z (T, m) or (T,), by sensor where there are several.
 
     NaN marks a missing value; a sensor at a rate of its own has NaN in the other rows. `times`: (T,) s, by default
@@ -260,16 +242,9 @@ class _Prior(AbstractStart):
 
 
 def _tracker(
-    step: Callable[..., Any],
-    functions: Mapping[str, Callable[..., Any]],
-    Q: Matrix,
-    R: Any,
-    size: int,
-    x0: Sequence[float] | None,
-    P0: Any,
-    state: Mapping[str, int] | None,
-    gain: float = 1.0,
-) -> Tracker:
+    step: Callable[..., Any], functions: Mapping[str, Callable[..., Any]], Q: Matrix, R: Any, size: int,
+    x0: Sequence[float] | None, P0: Any, state: Mapping[str, int] | None, gain: float = 1.0,
+) -> Tracker:  # fmt: skip
     parts = tuple((state or {"x": size}).items())
     mean = np.zeros(size) if x0 is None else floats("x0", x0)
     fits = np.isfinite(mean).all() and all(map(str.isidentifier, dict(parts)))

@@ -45,14 +45,9 @@ def nearest_to_rays(
 
 
 def recent_points(
-    starts: np.ndarray,
-    times: np.ndarray,
-    origins: np.ndarray,
-    axes: np.ndarray,
-    angles: np.ndarray,
-    seen: np.ndarray,
+    starts: np.ndarray, times: np.ndarray, origins: np.ndarray, axes: np.ndarray, angles: np.ndarray, seen: np.ndarray,
     heights: np.ndarray,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """For every row (T, 4): the point nearest to the rays of the last second, m, and 1 where they determine it.
 
     `starts` (n + 1,): the first row of each of n tags, then T. `times` (T,) s, sorted by tag; `origins` (T, 3) m and

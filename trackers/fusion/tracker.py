@@ -200,14 +200,9 @@ class Given(NamedTuple):
 
 
 def joint_positions(
-    folder: RecordingFolder,
-    kinds: Sequence[str],
-    tags: Sequence[str],
-    starts: Int[np.ndarray, " ends"],
-    times: Float[np.ndarray, " N"],
-    heights: Float[np.ndarray, " n"],
-    nearby: Float[np.ndarray, "N 4"],
-) -> Float[np.ndarray, "N 4"]:
+    folder: RecordingFolder, kinds: Sequence[str], tags: Sequence[str], starts: Int[np.ndarray, " ends"],
+    times: Float[np.ndarray, " N"], heights: Float[np.ndarray, " n"], nearby: Float[np.ndarray, "N 4"],
+) -> Float[np.ndarray, "N 4"]:  # fmt: skip
     """`nearby` with positions from the readings of all kinds, and 1, at those `start_rows` that have none.
 
     `starts` (n + 1,): the first row of each of n tags, then N. `heights` (n,) m: NaN where unknown.

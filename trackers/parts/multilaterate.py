@@ -154,14 +154,9 @@ BLOCK, BLOCKS = 256, 16
 
 
 def recent_positions(
-    starts: np.ndarray,
-    times: np.ndarray,
-    anchors: np.ndarray,
-    numbers: np.ndarray,
-    ranges: np.ndarray,
-    seen: np.ndarray,
-    heights: np.ndarray,
-) -> np.ndarray:
+    starts: np.ndarray, times: np.ndarray, anchors: np.ndarray, numbers: np.ndarray, ranges: np.ndarray,
+    seen: np.ndarray, heights: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """For every row (N, 4): the position from the ranges of the last seconds, m, and 1 where they determine it.
 
     `starts` (n + 1,): the first row of each of n tags, then N. `times` (N,) s, sorted by tag; `anchors` (A, 3) m;

@@ -210,14 +210,9 @@ def range_rows(folder: RecordingFolder, rows: TagRows) -> tuple[Readings, np.nda
 
 
 def range_inputs(
-    starts: np.ndarray,
-    times: np.ndarray,
-    readings: Readings,
-    number: np.ndarray,
-    anchors: np.ndarray,
-    heights: np.ndarray,
-    rig: Rig,
-) -> dict[str, np.ndarray]:
+    starts: np.ndarray, times: np.ndarray, readings: Readings, number: np.ndarray, anchors: np.ndarray,
+    heights: np.ndarray, rig: Rig,
+) -> dict[str, np.ndarray]:  # fmt: skip
     """The inputs of rows with one range each: `anchors`, `anchor`, its number, `nearby` and `height_limits`.
 
     `starts` (n + 1,): the first row of each of n tags, then N. `number` (N,): of each range's anchor in `anchors`

@@ -98,14 +98,9 @@ class Trajectories(Sequence[Trajectory]):
 
 
 def trajectories_of(
-    folder: RecordingFolder,
-    tags: Sequence[str],
-    starts: np.ndarray,
-    times: np.ndarray,
-    readings: Mapping[str, Readings],
-    inputs: Mapping[str, np.ndarray],
-    stations: Sequence[str] | None = None,
-) -> Trajectories:
+    folder: RecordingFolder, tags: Sequence[str], starts: np.ndarray, times: np.ndarray,
+    readings: Mapping[str, Readings], inputs: Mapping[str, np.ndarray], stations: Sequence[str] | None = None,
+) -> Trajectories:  # fmt: skip
     """The trajectories of tags (and `stations`) with these rows, truth, and the input `height`, zero if unknown."""
     position, status = folder.paths.at(tags, starts, times)
     known = (status == TruthStatus.SCORED) & np.isfinite(position).all(axis=1)

@@ -155,13 +155,9 @@ def _ranges_with_imu(
 
 
 def _with_imu(
-    folder: RecordingFolder,
-    tags: Sequence[str],
-    rows: TagRows | Columns,
-    bodies: Mapping[str, Sequence[str]],
-    readings: Mapping[str, Readings],
-    inputs: Mapping[str, np.ndarray],
-) -> Trajectories:
+    folder: RecordingFolder, tags: Sequence[str], rows: TagRows | Columns, bodies: Mapping[str, Sequence[str]],
+    readings: Mapping[str, Readings], inputs: Mapping[str, np.ndarray],
+) -> Trajectories:  # fmt: skip
     """The trajectories of the tags in `bodies`, with the IMU of the body, from the `rows` of `tags`."""
     samples = folder.rows("imu")
     accel, gyro = _imu_samples(samples)

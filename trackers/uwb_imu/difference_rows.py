@@ -116,13 +116,9 @@ def correlations(number: Int[np.ndarray, "M S 2"], seen: Bool[np.ndarray, "M S"]
 
 
 def recent_hyperbolic_positions(
-    starts: Int[np.ndarray, " ends"],
-    times: Float[np.ndarray, " M"],
-    readings: Readings,
-    number: Int[np.ndarray, "M S 2"],
-    anchors: Float[np.ndarray, "A 3"],
-    heights: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "M 4"]:
+    starts: Int[np.ndarray, " ends"], times: Float[np.ndarray, " M"], readings: Readings,
+    number: Int[np.ndarray, "M S 2"], anchors: Float[np.ndarray, "A 3"], heights: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "M 4"]:  # fmt: skip
     """The position from the latest differences, m, and 1 where determined, at `start_rows`; the others are zero.
 
     `starts` (n + 1,): the first row of each of n tags, then M. `number`: of the anchors of each difference in

@@ -30,13 +30,9 @@ class RowsBetween(NamedTuple):
     number: np.ndarray
 
     def trajectories(
-        self,
-        folder: RecordingFolder,
-        tags: Sequence[str],
-        readings: Mapping[str, Readings],
-        inputs: Mapping[str, np.ndarray],
-        further: Mapping[str, np.ndarray],
-    ) -> Trajectories:
+        self, folder: RecordingFolder, tags: Sequence[str], readings: Mapping[str, Readings],
+        inputs: Mapping[str, np.ndarray], further: Mapping[str, np.ndarray],
+    ) -> Trajectories:  # fmt: skip
         """The trajectories with `readings` and `inputs` of their rows, zeros between them, and `further` inputs."""
         given = {name: _with_zeros(values)[self.number] for name, values in inputs.items()}
         given |= {**further, **room_of_anchors(folder, len(self.times))}

@@ -95,14 +95,9 @@ def rts_step(rts_gain: RtsGain, after: Gaussian) -> Gaussian:
 
 
 def fixed_interval(
-    gain_of: Callable[..., Any],
-    rts_step: Callable[[Any, Any], Any],
-    estimate_of: Callable[[Any], Any],
-    filtered: Any,
-    connected: Bool[Array, "T B"],
-    dt: Float[Array, "T B"],
-    inputs: Any,
-) -> Any:
+    gain_of: Callable[..., Any], rts_step: Callable[[Any, Any], Any], estimate_of: Callable[[Any], Any], filtered: Any,
+    connected: Bool[Array, "T B"], dt: Float[Array, "T B"], inputs: Any,
+) -> Any:  # fmt: skip
     """The smoothed estimates of all T rows, by a scan backwards over the times of each trajectory.
 
     `filtered`: the beliefs. Of the step from each row to the next: `connected`, whether that row continues the track,
@@ -177,13 +172,9 @@ def in_scalars(beliefs: Any) -> Any:
 
 
 def fixed_lag(
-    gain_of: Callable[..., Any],
-    rts_step: Callable[[Any, Any], Any],
-    filtered: Any,
-    steps: tuple[Any, ...],
-    dt: Float[Array, "steps B"],
-    lag: Scalar,
-) -> Any:
+    gain_of: Callable[..., Any], rts_step: Callable[[Any, Any], Any], filtered: Any, steps: tuple[Any, ...],
+    dt: Float[Array, "steps B"], lag: Scalar,
+) -> Any:  # fmt: skip
     """The smoothed beliefs of all time steps but the last, batch-last, each from measurements at most `lag` s later.
 
     All windows run backwards in parallel, each from its last step, until all have reached their first one.

@@ -338,14 +338,9 @@ def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Weigh
 
 @eqx.filter_custom_jvp
 def resample_with_score(
-    needed: Bool[Array, ""],
-    offset: Float[Array, ""],
-    states: State,
-    log_weights: Weights,
-    weights: Weights,
-    *,
+    needed: Bool[Array, ""], offset: Float[Array, ""], states: State, log_weights: Weights, weights: Weights, *,
     discount: float,
-) -> tuple[State, Weights, Weights]:
+) -> tuple[State, Weights, Weights]:  # fmt: skip
     """`resample`, with `discount` times the ancestor's score for each offspring."""
     return resample(needed, offset, states, log_weights, weights)
 
