@@ -45,8 +45,7 @@ def trajectory_weights(
     distinct, index = np.unique(joined, return_inverse=True)
     by_recording = np.bincount(index.ravel(), total, minlength=len(distinct))
     counted = by_recording > 0
-    say = np.ones(len(distinct))
-    say[counted] = total.sum() / counted.sum() / by_recording[counted]
+    say = np.where(counted, total.sum() / max(counted.sum(), 1) / np.maximum(by_recording, 1.0), 1.0)
     return np.split(say[index.ravel()], np.cumsum([len(of_batch) for of_batch in names])[:-1])
 
 

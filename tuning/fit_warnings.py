@@ -123,8 +123,6 @@ def without_intervals(uncertainty: Uncertainty | None, intervals: Mapping[str, I
     if not np.isfinite(uncertainty.optimum.hessian).all():
         return ["no 95 % intervals: the objective has no finite curvature at these values; tune fewer numbers"]
     if np.isnan(uncertainty.observed).any() and np.isnan(uncertainty.sandwich).any():
-        return [
-            f"no 95 % intervals: this objective is no likelihood and takes {MIN_TRAJECTORIES} trajectories, found "
-            f"{uncertainty.clusters}; give more recordings or --objective nll"
-        ]
+        found = f"takes {MIN_TRAJECTORIES} trajectories, found {uncertainty.clusters}"
+        return [f"no 95 % intervals: this objective is no likelihood and {found}; give more or --objective nll"]
     return []

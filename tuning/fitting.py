@@ -180,13 +180,10 @@ DEFAULTS, UNTOLD = FitOptions(), Progress()
 
 
 def fit(
-    tracker: AnyTracker,
-    recordings: Arrays | FitData | RecordingFolder | Sequence[RecordingFolder],
-    objective: str | AbstractObjective | None = None,
-    tune: str | Sequence[str] | None = None,
-    options: FitOptions = DEFAULTS,
-    progress: Progress = UNTOLD,
-) -> FitResult[AnyTracker]:
+    tracker: AnyTracker, recordings: Arrays | FitData | RecordingFolder | Sequence[RecordingFolder],
+    objective: str | AbstractObjective | None = None, tune: str | Sequence[str] | None = None,
+    options: FitOptions = DEFAULTS, progress: Progress = UNTOLD,
+) -> FitResult[AnyTracker]:  # fmt: skip
     """The tracker with the tunables matching `tune` fitted to minimise the objective.
 
     `tracker`, `recordings`: a tracker by name with recording folders, or a tracker with recordings in arrays: one,
@@ -268,9 +265,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         uncertainty = uncertainty_at(problem, best, bound, hidden)
         # A point that others select is no optimum, and its curvature shows nothing.
         if driver.held_out is None and not best.prior.any():
-            for _ in range(ANEW):
-                if (other := far_better(problem, uncertainty, driver.low, driver.high)) is None:
-                    break
+            while (other := far_better(problem, uncertainty, driver.low, driver.high)) is not None:
                 later = driver.init(other)
                 while not driver.done(later):
                     later = driver.step(later)
@@ -334,7 +329,6 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
     return [Step(float(value), float(norm), by_label(parameters, vector)) for value, norm, vector in steps]
 
 
-ANEW = 4  # fits at most from other places, where a number is flat as far as the slope tells
 MOST_FOLDS = 10  # fits at most: of more recordings several are left out at once
 
 

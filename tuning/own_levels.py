@@ -16,12 +16,9 @@ from trackwright.tuning.weight import rows_and_inflation
 
 LEAST_GAIN = 2.0  # nats of the posterior below which a recording tells nothing against the levels that it is run at
 
+# Ratio of the levels of errors that last and those that do not from which on the first pass for motion. It is larger on
+# the real ranges and bearings used for development, 1.7 and less on two, and smaller with white noise.
 LASTING = 1.5
-"""Ratio of the levels of errors that last and those that do not from which on the first pass for motion.
-
-It is larger on the real ranges and bearings used for development, 1.7 and less on two, and smaller with white noise.
-"""
-
 INFLATION = 3.0  # rows with the information of one, at the fitted levels, from which errors last (without biases)
 
 STEPS = 30

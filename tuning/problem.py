@@ -172,14 +172,9 @@ class Problem:
     """
 
     def __init__(
-        self,
-        tracker: AbstractTracker,
-        batches: Sequence[Batch],
-        objective: AbstractObjective,
-        parameters: Sequence[Parameter],
-        chunk: int = CHUNK,
-        weights: Sequence[Float[np.ndarray, " B"]] | None = None,
-    ):
+        self, tracker: AbstractTracker, batches: Sequence[Batch], objective: AbstractObjective,
+        parameters: Sequence[Parameter], chunk: int = CHUNK, weights: Sequence[Float[np.ndarray, " B"]] | None = None,
+    ):  # fmt: skip
         self.objective, self.parameters = objective, list(parameters)
         self.prior, self.discount, self.filter_runs = Prior.of(self.parameters, "flat"), 1.0, 0
         dtype = batches[0].columns(0, 1).dt.dtype

@@ -105,14 +105,10 @@ def grid_vectors(
 
 
 def sweep(
-    tracker: AbstractTracker,
-    batches: Batch | Sequence[Batch],
-    objective: AbstractObjective,
-    over: Mapping[str, np.ndarray],
-    repeats: int = 1,
-    report: Callable[[int], None] = lambda points: None,
+    tracker: AbstractTracker, batches: Batch | Sequence[Batch], objective: AbstractObjective,
+    over: Mapping[str, np.ndarray], repeats: int = 1, report: Callable[[int], None] = lambda points: None,
     weights: Sequence[Float[np.ndarray, " B"]] | None = None,
-) -> Sweep:
+) -> Sweep:  # fmt: skip
     """The objective on the grid spanned by `over`: one or two patterns of tunables with their values.
 
     All matches of a pattern are tied. A particle filter runs `repeats` times with other random numbers, any other

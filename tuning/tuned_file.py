@@ -30,12 +30,9 @@ def write_tuned(path: Path, content: Mapping[str, Any]) -> Path:
 
 
 def tuned_content(
-    tracker: str,
-    objective: str,
-    result: FitResult,
-    intervals: Mapping[str, Interval],
+    tracker: str, objective: str, result: FitResult, intervals: Mapping[str, Interval],
     calibration: Mapping[str, str] | None = None,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """The fitted values by name, with unit, standard error and 95 % interval; nan where unknown.
 
     `intervals`: lowest and highest value by label. `calibration`: the `identity` of the recordings' one.

@@ -265,13 +265,9 @@ def _derivatives(
 
 
 def refit(
-    problem: Problem,
-    vectors: Float[np.ndarray, "S p"],
-    hessian: Float[np.ndarray, "p p"],
-    free: Bool[np.ndarray, " p"] | None = None,
-    weights: Float[np.ndarray, "*S n"] | None = None,
-    rounds: int = 3,
-) -> tuple[Float[np.ndarray, "S p"], Float[np.ndarray, " S"]]:
+    problem: Problem, vectors: Float[np.ndarray, "S p"], hessian: Float[np.ndarray, "p p"],
+    free: Bool[np.ndarray, " p"] | None = None, weights: Float[np.ndarray, "*S n"] | None = None, rounds: int = 3,
+) -> tuple[Float[np.ndarray, "S p"], Float[np.ndarray, " S"]]:  # fmt: skip
     """Vectors (S, p) improved by quasi-Newton steps (BFGS on the inverse Hessian) all at once, and the objective there.
 
     Each for its own `weights` (S, n) of trajectories, over the `free` (p,) numbers, starting with the same `hessian`. A

@@ -161,11 +161,9 @@ def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tup
 
 
 def window_sums(
-    times: Float[np.ndarray, " n"],
-    ratios: Float[np.ndarray, " n"],
-    track: Num[np.ndarray, " n"],
+    times: Float[np.ndarray, " n"], ratios: Float[np.ndarray, " n"], track: Num[np.ndarray, " n"],
     windows: Sequence[float] = WINDOWS_S,
-) -> WindowSums:
+) -> WindowSums:  # fmt: skip
     """The sums over windows of so many seconds; `track` (n,): the number of each row's trajectory, in order."""
     of_windows = np.zeros((4, len(windows)))
     for k, window in enumerate(windows if len(times) else ()):

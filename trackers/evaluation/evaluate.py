@@ -150,11 +150,10 @@ def truths_of(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
     """The truth tables of the recordings that have one, by name; raises UnusableInput for two folders of one name."""
     several = _several(recordings)
     refuse_same_names([recording.name for recording in several if isinstance(recording, RecordingFolder)])
-    truths = {}
+    truths = dict[str, pl.DataFrame]()
     for name, recording in zip(numbered_names([recording.name for recording in several]), several, strict=True):
         if isinstance(recording, RecordingFolder):
-            if "truth" in recording.tables:
-                truths[name] = recording.tables["truth"]
+            truths.update((name, table) for key, table in recording.tables.items() if key == "truth")
         elif "position" in recording.truth:
             values, known = recording.truth["position"]
             axes = {f"{a}_m": x for a, x in zip("xyz", np.asarray(values, float)[known].T, strict=False)}
@@ -189,9 +188,8 @@ def violation(evaluation: Evaluation, expression: str) -> str | None:
     values = {name: overall[name] for name in condition.meta.root_names()}
     if lacking := [name for name, value in values.items() if value is None]:
         raise UnusableInput(f"--fail-if '{expression}': '{lacking[0]}' has no value for these tracks; name another")
-    if not pl.DataFrame([values]).select(condition).item():
-        return None
-    return f"{expression} ({', '.join(f'{name} is {value:.6g}' for name, value in values.items())})"
+    words = f"{expression} ({', '.join(f'{name} is {value:.6g}' for name, value in values.items())})"
+    return words if pl.DataFrame([values]).select(condition).item() else None
 
 
 def verdict(metrics: Mapping[str, Any], name: str = "nees") -> str | None:

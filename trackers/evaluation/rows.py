@@ -283,10 +283,9 @@ def refuse_without_overlap(rows: pl.DataFrame, truths: Truths) -> None:
         found = f"the tracks are of recording {name}, the truth is of {listed(sorted(truths))}"
         if name in truths:
             found = f"only {inside} of {len(asked)} estimates lie" if inside else "no estimate lies"
-            found += f" inside a truth: estimates {_about(known.filter(recording=name))}, "
-            found += f"truth of '{name}' {_about(truths[name])}"
-        fix = "compare names, ids, clocks and their units, or give the time of the truth by --from and --to"
-        raise UnusableInput(f"{found}; expected the same recording, tag and time; {fix}")
+            both = f"estimates {_about(known.filter(recording=name))}, truth of '{name}' {_about(truths[name])}"
+            found = f"{found} inside a truth: {both}; expected the same recording, tag and time"
+        raise UnusableInput(f"{found}; compare names, ids, clocks and units, or give the time by --from and --to")
 
 
 def _about(table: pl.DataFrame) -> str:
