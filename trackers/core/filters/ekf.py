@@ -145,12 +145,9 @@ class ExtendedKalman(AbstractExtendedKalman):
 
 
 def flattening(
-    residual: Callable[..., Sequence[Scalar]],
-    point: Sequence[Scalar],
-    whitened: Sequence[Scalar],
-    rows: Sequence[SparseRow],
-    belief: Gaussian,
-) -> list[Scalar]:
+    residual: Callable[..., Sequence[Scalar]], point: Sequence[Scalar], whitened: Sequence[Scalar],
+    rows: Sequence[SparseRow], belief: Gaussian,
+) -> list[Scalar]:  # fmt: skip
     """By what whitened channels are multiplied, so that the noise covers what bends within the spread of the position.
 
     The bend is what a residual differs from its tangent `SPREAD` standard deviations off in independent directions: one

@@ -57,13 +57,9 @@ class RtsGain(NamedTuple):
 
 
 def rts_gain(
-    belief: Gaussian,
-    predicted: State,
-    F: Sequence[SparseRow],
-    G: Sequence[SparseRow],
-    connected: Scalar,
+    belief: Gaussian, predicted: State, F: Sequence[SparseRow], G: Sequence[SparseRow], connected: Scalar,
     simultaneous: Scalar,
-) -> RtsGain:
+) -> RtsGain:  # fmt: skip
     """The gains of one time step, from the filtered beliefs, their predictions and the motion's Jacobians F and G."""
     n, P = len(F), belief.cov
     assert isinstance(P, jax.Array)

@@ -314,13 +314,9 @@ def _initial_view(layout: Layout, tracker: RecursiveTracker) -> Any:
 
 @lru_cache(maxsize=256)
 def _view_of(
-    tree: Any,
-    fixed: tuple[Any, ...],
-    shapes: tuple[Any, ...],
-    readings: tuple[tuple[str, tuple[int, int]], ...],
-    inputs: tuple[tuple[str, tuple[int, ...]], ...],
-    kind: Any,
-) -> Any:
+    tree: Any, fixed: tuple[Any, ...], shapes: tuple[Any, ...], readings: tuple[tuple[str, tuple[int, int]], ...],
+    inputs: tuple[tuple[str, tuple[int, ...]], ...], kind: Any,
+) -> Any:  # fmt: skip
     """The shapes of the view of a start's state, cached, so that a second check traces nothing.
 
     `tree`: structure of motion, sensors and start, whose leaves are `fixed` or arrays with these `shapes`; `kind`: the

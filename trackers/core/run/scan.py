@@ -142,13 +142,9 @@ Score = Callable[[Output, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
 
 
 def scan_rows(
-    tracker: RecursiveTracker,
-    batch: Batch,
-    initial: ScanState | None = None,
-    score: Score | None = None,
-    moments: Callable[[Any], tuple[Any, AnyCovariance]] | None = None,
-    every_row: bool = False,
-) -> tuple[tuple[Any, ...], Any, Any]:
+    tracker: RecursiveTracker, batch: Batch, initial: ScanState | None = None, score: Score | None = None,
+    moments: Callable[[Any], tuple[Any, AnyCovariance]] | None = None, every_row: bool = False,
+) -> tuple[tuple[Any, ...], Any, Any]:  # fmt: skip
     """All time steps of one chunk, batch-last: the outputs of every step, or with a `score` its sums over time.
 
     `initial`: the state before the first row, by default no track. `moments`: mean and covariance of an output from the
