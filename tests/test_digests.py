@@ -22,13 +22,3 @@ def test_every_array_that_moved_by_a_bit_is_named_with_its_size(tmp_path):
         "case, x: new: is new",
         "case, x: words: 1 of 2 differ",
     ]
-
-
-def test_a_lost_number_and_a_zero_of_another_sign_and_a_subject_of_one_side_are_named(tmp_path):
-    np.savez(tmp_path / "a.npz", lost=np.array([1.0, 2.0]), zero=np.array([0.0]))
-    np.savez(tmp_path / "b.npz", lost=np.array([1.0, np.nan]), zero=np.array([-0.0]))
-    assert list(differences(tmp_path / "a.npz", tmp_path / "b.npz")) == [
-        "a: lost: 1 of 2 differ, by at most inf relative",
-        "a: zero: 1 of 1 differ, by at most 0.0e+00 relative",
-    ]
-    assert list(differences(tmp_path / "a.npz", tmp_path / "no.npz")) == ["a: lost: is gone", "a: zero: is gone"]

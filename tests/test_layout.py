@@ -153,11 +153,6 @@ def test_parts_of_jax_that_it_does_not_promise_are_imported_in_one_module():
     assert users == {"trackers.core.jax_private"}
 
 
-def test_no_module_is_a_drawer_for_odds_and_ends():
-    drawers = [path for path in [*SOURCES, *TESTS] if path.stem in ("utils", "misc", "helpers", "common")]
-    assert not drawers
-
-
 def test_a_file_has_one_idea_and_at_most_500_lines():
     assert not [_named(path) for path in SOURCES if len(path.read_text("utf-8").splitlines()) > LONGEST]
 

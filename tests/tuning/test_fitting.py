@@ -27,7 +27,10 @@ def _problem(tracker, recordings, patterns, objective=NLL, rows=None):
 
 @pytest.mark.parametrize(
     ("optimiser", "wrong_v", "wrong"),
-    [*((LBFGS(), a, p) for a, p in ((10.0, 0.1), (10.0, 10.0), (0.1, 10.0), (0.1, 0.1))), (Adam(40, 0.2), 10.0, 10.0)],
+    [
+        *((LBFGS(), a, p) for a, p in ((10.0, 0.1), (10.0, 10.0), (0.1, 10.0), (0.1, 0.1), (1e3, 1e-3))),
+        (Adam(40, 0.2), 10.0, 10.0),
+    ],
 )
 def test_noise_levels_are_recovered_from_starts_wrong_by_a_factor_of_ten(optimiser, wrong_v, wrong):
     start, true = line_tracker(0.3 * wrong_v, 0.2 * wrong), dict(zip(LEVELS, (0.3, 0.2), strict=True))

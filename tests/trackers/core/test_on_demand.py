@@ -5,8 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import pytest
-
 import trackwright
 from trackwright import sim
 from trackwright.tuning.fitting import fit
@@ -28,8 +26,3 @@ def test_a_name_is_the_object_of_its_module_and_dir_lists_it():
     assert trackwright.simulate is sim.worlds
     assert {"fit", "simulate", "read", "__version__"} <= set(dir(trackwright))
     assert {name for name in dir(trackwright) if not name.startswith("__")} == set(trackwright.__all__)
-
-
-def test_a_misspelt_name_is_answered_with_the_nearest_one():
-    with pytest.raises(AttributeError, match=r"no attribute 'evalute' \(did you mean evaluate\?\)"):
-        trackwright.evalute  # noqa: B018
