@@ -182,7 +182,7 @@ def ranges(
     Args:
         rows: times at which all anchors are ranged.
         rate_hz: times per second.
-        sigma_r: white noise of a range, m.
+        sigma_r: white noise of a range, m, beside the 25 mm of two-way ranging.
         bias: standard deviation of the anchors' constant biases, m.
         hidden: share of the time for which an anchor has no line of sight, and its ranges are too long.
         lost: share of the ranges that are missing.
@@ -250,7 +250,7 @@ def fusion(
         stations: anchors that measure angles.
         rows: times of measurement.
         rate_hz: times per second.
-        sigma_r: white noise of a range, m.
+        sigma_r: white noise of a range, m, beside the 25 mm of two-way ranging.
         bias: standard deviation of the anchors' constant biases, m.
         hidden: share of the time for which an anchor has no line of sight, and its ranges are too long.
         sigma_angle: white noise of azimuth and elevation, rad.

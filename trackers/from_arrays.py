@@ -111,7 +111,8 @@ def bearing_recording(
 ) -> Recording:  # fmt: skip
     """Azimuth and elevation, `bearings` (T, 2) rad, one pair per row, for `bearing_tracker`.
 
-    `station`: (T,) the name of each row's station. `std`: (T, 2) rad.
+    `station`: (T,) the name of each row's station. `std`: (T, 2) rad. In the array's frame, z ahead, y up, the tag is
+    in the direction (sin az cos el, sin el, cos az cos el): zero is straight ahead.
     """
     require(isinstance(stations, Mapping), "bearing_recording", stations, "stations by name, as {'west': Station(…)}")
     require(np.ndim(station) == 1, "bearing_recording", station, "the name of each row's station")
