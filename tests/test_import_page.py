@@ -83,7 +83,7 @@ FIXES = "{'fixes': pl.DataFrame({'t_s': [%s], 'x_m': [%s], 'y_m': [0.0], %s})}"
         ("{'ranges': pl.DataFrame({'t_s': [0.0], 'anchor': ['A1']})}", "ranges needs range_m"),
         (FIXES % ("None", "0.0", "'z_m': [0.0]"), "row 1, column t_s: empty, expected seconds"),
         (FIXES % ("0.0", "'a'", "'z_m': [0.0]"), "column x_m: 'a'"),
-        (FIXES % ("0.0", "0.0", "'q': [0.0]"), "an empty column where no height is measured"),
+        (FIXES % ("0.0", "0.0", "'q': [0.0]"), "an empty column where none is measured"),
         ("path.read()", "my.log: bad.py:own fails (AttributeError in line 5:"),
     ],
 )

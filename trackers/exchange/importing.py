@@ -75,8 +75,7 @@ def found_placement(recording: RecordingFolder) -> tuple[list[float], str]:
         return np.asarray(known_median(view.sizes(errors(x), bias)))
 
     x, _ = robust_fit(errors, _searched(view.thinned(FEW), centre))
-    level, _ = robust_fit(lambda y: errors(np.insert(y, 3, centre[2])), np.delete(x, 3))
-    level = np.insert(level, 3, centre[2])
+    level = np.insert(robust_fit(lambda y: errors(np.insert(y, 3, centre[2])), np.delete(x, 3))[0], 3, centre[2])
     if not (sizes(level, False) > CLEARLY * sizes(x, False)).any():
         kept = f"z as it was, since errors are about as small without its shift of {x[3] - centre[2]:.2f} m; "
         x = level

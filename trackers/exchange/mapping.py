@@ -157,8 +157,9 @@ def _complete(
         like = [c for c in unnamed if missing[0] == "t_s" and re.search(r"time|stamp|date|epoch|clock", c.lower())]
         like = like or get_close_matches(missing[0].rpartition("_")[0], unnamed, 1, 0.3)
         example = f"{missing[0]}={(like or ['COLUMN'])[0]}" + " in UNIT" * ("_" in missing[0])
-        fixes = {"tag": "give --tag ID (in Python: tag=)", "z_m": "add an empty column where no height is measured"}
-        fix = fixes.get(missing[0], f"add --columns '{example}'; a file without a header: --header none")
+        empty = ", or add an empty column where none is measured" * (missing[0] in ("z_m", "elevation_rad"))
+        fix = f"add --columns '{example}'{empty}; a file without a header: --header none"
+        fix = "give --tag ID (in Python: tag=)" if missing[0] == "tag" else fix
         found = f"needs {missing[0]}, which no column gives; found {listed(map(repr, present), 12)}"
         raise UnusableInput(f"{where} {found}; {fix}")
     if 0 < sum(name in expressions for name in QUATERNION) < 4:

@@ -287,7 +287,7 @@ def _of_table(path: Path, text: str, form: Reading) -> Rows:
     if names and wrong.any():
         line, cell = rows.row(first_row(wrong))
         found = f"{counted(len(cell), 'cell')}, expected {width} as in line {at}, the header"
-        fix = f"is a quote open, a decimal a comma, or {mark!r} not the --separator?"
+        fix = f"is a quote open, the line cut off, a decimal a comma, or {mark!r} not the --separator?"
         raise UnusableInput(f"{path}: line {line} has {found}; {fix} {_HEADER}")
     if wrong.any():
         notices.append(f"{counted(int(wrong.sum()), 'row')} with fewer than {width} cells: the others are empty")

@@ -43,7 +43,7 @@ _FOUND = {
         "it looks like a date: `trackwright import` with 't_s={column} in dd/mm/yyyy', or its own form, as dd-mmm-yyyy"
     ),
     r"\d{1,2}:\d\d(:.*)?": "it looks like a time of day: `trackwright import` with 't_s={column} in hh:mm:ss'",
-    r"[-+]?\d+,\d+([eE][-+]?\d+)?": "it looks like a decimal comma: `trackwright import --decimal ,`",
+    r"[-+]?\d+,\d+([eE][-+]?\d+)?": "a decimal comma? `trackwright import --decimal ,`; or thousands? `--thousands ,`",
     r"[-+]?\d{1,3}([,.' ])\d{3}(\1\d{3}|[.,]\d)\d*.*|[-+]?\d{1,3}[' ]\d{3}": (
         "thousands are grouped in it: `trackwright import --thousands {mark!r}`"
     ),
