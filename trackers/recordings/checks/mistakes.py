@@ -34,15 +34,13 @@ PENALTY, GAIN, FITTED_GAIN, EXPLAINED, NEARLY, BROKEN, FEW = 0.06, 0.65, 1.0, 2.
 # log ratios, of an exchange. Delays: least beside a frame, most that is tracked, most that is tried.
 COARSE, STARTS, ALIKE, MOST_SWAPPED, CLEAR, LEAST_CLOCK_S, LATENCY_S, LONGEST_S = 240, 5, 1.2, 32, 1.5, 0.05, 1.0, 60.0
 # Without truth: moments compared, numbers of one beyond its unknowns, errors that contradict, m, by how much a change
-# lowers them, how many may stay, steps to a position, anchors of which two may be swapped,
-# and a small way, m.
+# lowers them, how many may stay, steps to a position, anchors of which two may be swapped, and a small way, m.
 MOMENTS, SPARE, CONTRADICTED, FALL, FEW_LEFT, STEPS, MOST_PAIRED, NEAR = 60, 2, 0.5, 3.0, 0.25, 12, 12, 1e-4
 
 FACTORS = {0.001: "millimetres", 0.01: "centimetres", 0.3048: "feet", 0.0254: "inches", 1e3: "kilometres"}
 # By the first column of a table, factors to its unit and what they undo.
 UNITS = {
-    "range_m": FACTORS
-    | {0.3048: "feet, or nanoseconds (0.2998)", 0.5: "round-trip distances", 2.0: "halved distances"},
+    "range_m": FACTORS | {0.3048: "feet, or nanoseconds (0.2998)", 0.5: "round-trip distances", 2.0: "halved"},
     # Some place has all differences nearly zero, so that every small factor makes errors small.
     "range_difference_m": {-1.0: "of the wrong sign", 0.2998: "nanoseconds or feet", 0.5: "doubled", 2.0: "halved"},
     "x_m": FACTORS,
@@ -380,7 +378,8 @@ def _explanations(given: Moments, typical: np.ndarray) -> Iterator[tuple[str, li
         yield f"with {change.words}: {change.cause}", everyone, given._replace(view=change.apply(view, np.zeros(0)))
     if view.kind.unit == "m" and not view.kind.difference:
         less = lambda x: given._replace(view=view._replace(values=view.values - x))  # noqa: E731
-        x, _ = robust_fit(lambda x: less(x).errors(), np.zeros(1))
+        beyond = float(np.nanmedian(view.values) - np.ptp(view.sensors.places, axis=0).max() / 2)
+        x, _ = robust_fit(lambda x: less(x).errors(), np.array([beyond if beyond > np.ptp(view.values) else 0.0]))
         cause = f"an offset of the {view.kind.name}, as of an uncalibrated antenna delay; calibrate the anchors"
         yield f"with {x[0]:+.2f} m subtracted: {cause}", everyone, less(x)
     words = "with other heights of the tags: correct height_m in rig.toml"
