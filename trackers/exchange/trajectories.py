@@ -29,9 +29,7 @@ from trackwright.trackers.recordings.tracks_table import is_bearing, read_tracks
 
 TUM = ("t_s", *AXES, *QUATERNION[1:], QUATERNION[0])
 _TEXT = ("recording", "tag", "station", "status", "wrapped")
-_NUMBER = re.compile(  # columns of numbers
-    r"t_s|q[wxyz]|nis(?:_dof)?|log_likelihood|v[xyz]_mps|(?:std_)?(?:[xyz]_m|\w+_rad)|cov_(?:xy|xz|yz)_m2"
-)
+_NUMBER = re.compile(r"t_s|q[wxyz]|nis(_dof)?|log_likelihood|v[xyz]_mps|(std_)?([xyz]_m|\w+_rad)|cov_(xy|xz|yz)_m2")
 
 
 class Poses(NamedTuple):
@@ -360,8 +358,7 @@ def compare_tracks(
             without.append(rows)
     if not compared:
         found = f"tracks of {listed(f'{name}, tag {tag}' for name, tag in by_track)}; truths of {listed(truths)}"
-        fix = "give the --truth of the same recording and tag, or the --tag that it is of"
-        raise UnusableInput(f"no track has a truth: {found}; {fix}")
+        raise UnusableInput(f"no track has a truth: {found}; give the --truth of the same recording, or its --tag")
     # A track that no alignment moves keeps its covariances, and one without a truth is counted.
     kept = [name for name in tracks.columns if all(name in errors.aligned.columns for errors in compared)]
     moved = pl.concat([table.select(kept) for table in (*(errors.aligned for errors in compared), *without)])
