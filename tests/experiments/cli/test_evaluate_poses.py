@@ -84,7 +84,7 @@ def test_a_run_of_one_tag_is_scored_by_a_trajectory_file(run, there):
     both = pl.concat([pl.read_parquet(run / "tracks.parquet").with_columns(tag=pl.lit(tag)) for tag in ("T7", "T8")])
     write_whole(run / "tracks.parquet", both)
     several = trackwright("evaluate", run, "--truth", there / "true.tum")
-    assert_refused_last(several, "no track has a truth", "T7", "give the --truth of the same recording and tag")
+    assert_refused_last(several, "no track has a truth", "T7", "give the --truth of the same recording, or its --tag")
     assert trackwright("evaluate", run, "--truth", there / "true.tum", "--tag", "T8").code == 0
 
 
