@@ -12,16 +12,16 @@ from trackwright.experiments.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-    "trackers": 22_601,
+    "trackers": 22_600,
     "sim": 1_932,
     "tuning": 4_318,
     "experiments": 9_569,
     "trackwright": 29,
-    "tests": 23_826,
+    "tests": 23_827,
 }
 """The most lines of Python of each folder at the top."""
 
-PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS, MOST_NAMES = 38_449, 239, 36_875, 13, 94
+PRODUCT_LINES, PRODUCT_FILES, WORDS, MOST_COMMANDS, MOST_NAMES = 38_448, 239, 36_875, 13, 94
 
 
 def _files(*suffixes: str) -> list[Path]:

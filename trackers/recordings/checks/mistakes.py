@@ -250,6 +250,9 @@ def check_mistakes(view: Compared, calibrated: bool = False) -> Iterator[CheckRe
             cause = change.cause.format(*numbers[0]) if len(numbers[0]) else change.cause
             what = f"{_errors_of(view, worst, before, change.each)}, and {_typical(view, best.after[worst])}"
             yield CheckResult("warning" if late else "error", kind.name, f"{what} with {words}: {cause}")
+    if not named and unknown.all() and np.nanmedian(before / limit) > BROKEN:
+        what = f"{_errors_of(view, unknown, before, False)}, and no change explains them"
+        yield CheckResult("warning", kind.name, f"{what}: compare places, frames and units")
     few = not named and 0 < unknown.sum() <= max(FEW * len(unknown), 1) < len(unknown)
     one, others = (float(np.nanmedian((before / limit)[part])) if few else 0.0 for part in (unknown, ~large))
     if kind.sensors and one > BROKEN * others:

@@ -113,6 +113,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "anchors at one place": Case("warning", "A1 and A2 have the same position", _places([0, 0, .3], [0, 0, .3], [6, 5, .4], [0, 5, 2.9]), False),
         "zenith angles": Case("error", "angles from the vertical", with_columns("bearings", elevation_rad=1.8 - ROW / 1e3)),
         "truth at zero": Case("warning", "truth: jumps of the truth beyond 1 m and 30 m/s: 1", with_columns("truth", X * ~T.is_between(1, 2)), False),
+        "fixes from nowhere": Case("warning", "and no change explains them: compare", with_columns("fixes", XYZ * 0 + 9.0 * (ROW % 7))),
         "two tags as one": Case("warning", "several tags as one", with_columns("ranges", t_s=T - T % 0.2), False),
         "a gap": Case("warning", "ranges: gaps longer than 1 s: 8", with_rows("ranges", ~T.is_between(1.0, 3.0))),
     }),
