@@ -354,7 +354,7 @@ class Moments(NamedTuple):
 def _moments(recording: RecordingFolder, table: str) -> Moments:
     """Moments of tags in which so many anchors or stations are heard that they can contradict each other."""
     view, tags = readings_of(recording, table), recording.rig.tags
-    number, of_tags = view.sensors.number, [view.times[view.tag == k] for k in range(len(view.tags))]
+    number, of_tags = view.sensors.number, np.split(view.times, np.flatnonzero(np.diff(view.tag)) + 1)
     window = 1.5 * len(view.ids) * float(np.median([np.ptp(t) / len(t) for t in of_tags]))
     heights = np.array([getattr(tags.get(tag), "height", None) for tag in view.tags], float)[view.tag]
     values = np.where(view.kind.columns[0].positive & ~(view.values > 0.0), np.nan, view.values)
