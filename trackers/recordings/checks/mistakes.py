@@ -382,7 +382,7 @@ def _explanations(given: Moments, typical: np.ndarray) -> Iterator[tuple[str, li
     if view.kind.unit == "m" and not view.kind.difference:
         less = lambda x: given._replace(view=view._replace(values=view.values - x))  # noqa: E731
         beyond = float(np.nanmedian(view.values) - np.ptp(view.sensors.places, axis=0).max() / 2)
-        x, _ = robust_fit(lambda x: less(x).errors(), np.array([beyond if beyond > np.ptp(view.values) else 0.0]))
+        x, _ = robust_fit(lambda x: less(x).errors(), np.array([beyond if beyond > np.ptp(view.values) else 0.0]), 4)
         cause = f"an offset of the {view.kind.name}, as of an uncalibrated antenna delay; calibrate the anchors"
         yield f"with {x[0]:+.2f} m subtracted: {cause}", everyone, less(x)
     words = "with other heights of the tags: correct height_m in rig.toml"
