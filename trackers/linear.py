@@ -74,8 +74,8 @@ def linear(
         return [a + b for a, b in zip(moved, control([u[k] for k in range(len(u))], dt, inputs), strict=True)]
 
     functions = {name: _product(f"H of {name}", h, "m", size) for name, h in sensors.items()}
-    gain = max([float(np.square(h).max()) for h in sensors.values() if not callable(h)] or [1.0])
-    return _tracker(step, functions, Q, R, size, x0, P0, state, gain)
+    gains = {name: float(np.square(h).max()) for name, h in sensors.items() if not callable(h)}
+    return _tracker(step, functions, Q, R, size, x0, P0, state, gains)
 
 
 def nonlinear(
@@ -95,7 +95,7 @@ def nonlinear(
         return _called(step, x.array(), dt, inputs)
 
     functions = {name: (lambda x, inputs, h=h: _called(h, x.array(), inputs)) for name, h in sensors.items()}
-    return _tracker(moved, functions, Q, R, len(x0), x0, P0, state)
+    return _tracker(moved, functions, Q, R, len(x0), x0, P0, state, {})
 
 
 def series(
@@ -243,7 +243,7 @@ class _Prior(AbstractStart):
 
 def _tracker(
     step: Callable[..., Any], functions: Mapping[str, Callable[..., Any]], Q: Matrix, R: Any, size: int,
-    x0: Sequence[float] | None, P0: Any, state: Mapping[str, int] | None, gain: float = 1.0,
+    x0: Sequence[float] | None, P0: Any, state: Mapping[str, int] | None, gains: Mapping[str, float],
 ) -> Tracker:  # fmt: skip
     parts = tuple((state or {"x": size}).items())
     mean = np.zeros(size) if x0 is None else floats("x0", x0)
@@ -258,12 +258,13 @@ def _tracker(
     for name, function in functions.items():
         noise = _noise(f"R of {name}", noises[name], None, "measurement noise")
         sensors[name] = _Sensor(R=noise, function=function, size=noise.size, view_fields=names)
-    least = min(float(s.R.entries(1.0)[k][k]) for s in sensors.values() for k in range(s.size))  # type: ignore[attr-defined]
-    single = jax.dtypes.canonicalize_dtype(float) == np.float32
-    most = RESOLVED * least / gain if single else np.inf
+    # Of functions it is not known how much a variance of the state counts in a reading.
+    known = {name: gain for name, gain in gains.items() if gain and not isinstance(noises[name], tuple | Callable)}
+    least = min([np.diag(np.atleast_2d(noises[name])).min() / gain for name, gain in known.items()], default=np.inf)
+    most = RESOLVED * least if jax.dtypes.canonicalize_dtype(float) == np.float32 else np.inf
     cov = _covariance("P0", min(DIFFUSE, most) * np.eye(size) if P0 is None else P0, size)[0]
     if P0 is not None and np.diag(cov).max() > most:
-        found = f"P0 has a variance of {np.diag(cov).max():g}, beside readings with one of {least / gain:.2g}"
+        found = f"P0 has a variance of {np.diag(cov).max():g}, beside readings with one of {least:.2g}"
         fix = f"give at most {most:.2g}, or jax.config.update('jax_enable_x64', True)"
         warnings.warn(f"{found}: too far apart for single precision, first rows are too uncertain; {fix}", stacklevel=3)
     motion = _Motion(_noise("Q", Q, size, "process noise"), step, parts)

@@ -260,18 +260,17 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     if interrupted:
         last = problem.evaluate(vector)
     else:
-        best = newton(driver, vector)
-        bound, hidden = driver.at_bound(best.vector, best.gradient), driver.low == driver.high
-        uncertainty = uncertainty_at(problem, best, bound, hidden)
-        # A point that others select is no optimum, and its curvature shows nothing.
-        if driver.held_out is None and not best.prior.any():
-            while (other := far_better(problem, uncertainty, driver.low, driver.high)) is not None:
-                later = driver.init(other)
-                while not driver.done(later):
-                    later = driver.step(later)
-                best = newton(driver, later.best_vectors[0])
-                bound = driver.at_bound(best.vector, best.gradient)
-                uncertainty = uncertainty_at(problem, best, bound, hidden)
+        while True:
+            best = newton(driver, vector)
+            bound, hidden = driver.at_bound(best.vector, best.gradient), driver.low == driver.high
+            uncertainty = uncertainty_at(problem, best, bound, hidden)
+            # A point that others select is no optimum, and its curvature shows nothing.
+            optimal = driver.held_out is None and not best.prior.any()
+            other = far_better(problem, uncertainty, driver.low, driver.high) if optimal else None
+            if other is None:
+                break
+            vector = driver.finished(initial_state(driver, other, 1)).best_vectors[0]
+        if optimal:
             gain = float(state.past_values[0, 0]) - best.value
             kept, at_start = kept_at_start(problem, uncertainty, start, gain)
             if at_start.any():
@@ -330,8 +329,6 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
 
 
 MOST_FOLDS = 10  # fits at most: of more recordings several are left out at once
-
-
 LEFT_OUT_ROUNDS = 8  # steps of each fit from the optimum of all recordings
 
 

@@ -188,6 +188,12 @@ class MultiStart:
         )
         return self._with_trace(state)
 
+    def finished(self, state: FitState) -> FitState:
+        """The state at which every start has ended."""
+        while not self.done(state):
+            state = self.step(state)
+        return state
+
     def step(self, state: FitState) -> FitState:
         """The state after one more step; a start that has converged, or whose step fails at any length, ends there."""
         number = int(state.number) + 1

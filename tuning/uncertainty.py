@@ -355,15 +355,13 @@ def loose_groups(uncertainty: Uncertainty, free: Bool[np.ndarray, " p"]) -> dict
 def far_better(
     problem: Problem, uncertainty: Uncertainty, low: Float[np.ndarray, " p"], high: Float[np.ndarray, " p"]
 ) -> Float[np.ndarray, " p"] | None:
-    """The best point (p,) with a flat number up to a thousand times another, better by `NATS`; None where none is.
-
-    A noise level that is far too small, or hidden by another that is too large, has no slope where it is.
-    """
-    best, least = None, uncertainty.optimum.value - NATS / uncertainty.optimum.nats_per_unit
+    """The best point (p,) with a flat number up to a thousand times another, better by `NATS`; None where none is."""
+    # A noise level that is far too small, or hidden by another that is too large, has no slope where it is.
+    at, best = uncertainty.optimum.vector, None
+    least = uncertainty.optimum.value - NATS / uncertainty.optimum.nats_per_unit
     for component in flat_components(uncertainty) if np.isfinite(least) and not problem.stochastic else ():
-        for step in HALF_DECADES:
-            shift = step * (np.arange(len(low)) == component)
-            trial = np.clip(uncertainty.optimum.vector + shift, low, high)
+        for number in np.unique(np.clip(at[component] + HALF_DECADES, low[component], high[component])):
+            trial = np.where(np.arange(len(at)) == component, number, at)
             value = float(problem.finite_values(trial, problem.evaluate(trial).terms)[0])
             if value < least:
                 best, least = trial, value

@@ -52,9 +52,7 @@ def tempered_anew(driver: MultiStart, state: FitState) -> FitState:
     if problem.objective.needs_truth or not (part := discount(problem, vector, 1)) > MORE * problem.discount:
         return state
     problem.discount = part
-    again = initial_state(driver, vector, 1)
-    while not driver.done(again):
-        again = driver.step(again)
+    again = driver.finished(initial_state(driver, vector, 1))
     return _with_best(state, winner, again.best_vectors[0], again.best_scores[0])
 
 

@@ -48,11 +48,9 @@ class Axis(NamedTuple):
 
 
 def corridor_log_likelihood(
-    fixes: np.ndarray,
-    sigma: float = SIGMA_MOVE,
-    sigma_fix: float = SIGMA_FIX,
+    fixes: np.ndarray, sigma: float = SIGMA_MOVE, sigma_fix: float = SIGMA_FIX,
     points: tuple[int, int] = CORRIDOR_POINTS,
-) -> float:
+) -> float:  # fmt: skip
     """log L of fixes (T, 2), m, of a random walk with moves of `sigma` m per axis that dies outside the corridor.
 
     The density obeys p'(x') = g(x') ∫ N(x'; x, σ²) p(x) dx over the rectangle. Every integrand is smooth inside, and
@@ -77,11 +75,9 @@ def corridor_gradient(fixes: np.ndarray, points: tuple[int, int] = CORRIDOR_POIN
 
 
 def halt_log_likelihood(
-    sigma_a: float = HALT_SIGMA_A,
-    sigma_p: float = HALT_SIGMA_FIX,
-    spread: float = HALT_SPREAD,
+    sigma_a: float = HALT_SIGMA_A, sigma_p: float = HALT_SIGMA_FIX, spread: float = HALT_SPREAD,
     points: tuple[int, int] = HALT_POINTS,
-) -> float:
+) -> float:  # fmt: skip
     """log L of the halt's fixes; standard deviations of speed, m/s per √s, of a fix, m, and of the prior.
 
     With the speed clamped at zero the density has two parts: p(d, v) while moving and p₀(d) at rest, singular in

@@ -198,3 +198,10 @@ def _free(offset):
 def test_a_number_that_a_function_has_by_default_is_its_own():
     moved = [float(_free(offset).run(tw.series([np.nan, np.nan])).mean.x[0][1]) for offset in (0.0, 2.0)]
     assert moved[1] - moved[0] == 2.0
+
+
+def test_single_precision_begins_with_a_variance_that_it_holds_beside_matrices():
+    with jax.enable_x64(False):
+        of_matrices, of_functions = tw.linear(F, H, Q, R).start.upper[0], _free(0.0).start.upper[0]
+    assert of_matrices == pytest.approx(2.0**15 * np.min(R) / np.max(np.square(H)), rel=1e-6)
+    assert of_functions == tw.linear(F, H, Q, R).start.upper[0] == 1e6

@@ -21,6 +21,7 @@ LONGEST = 3000
 
 UNIX_S, UNIX_MS = 1e8, 1e11
 """Times from `UNIX_S` on count from 1970, in s below `UNIX_MS`: no recording lasts the three years before."""
+COARSE_S = 1e-2  # spacing of times in single precision from which they are no longer told apart
 
 
 class UnusableInput(ValueError):  # noqa: N818 - a fault of the input, not of the program
@@ -122,9 +123,6 @@ def numbered_names(names: Sequence[str]) -> list[str]:
         return list(names)
     first = {name: k for k, name in reversed([*enumerate(names)])}
     return [name if first[name] == k else f"{name} {k + 1}" for k, name in enumerate(names)]
-
-
-COARSE_S = 1e-2  # spacing of times in single precision from which they are no longer told apart
 
 
 def seconds(times: Any) -> np.ndarray:

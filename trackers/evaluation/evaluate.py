@@ -150,10 +150,11 @@ def truths_of(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
     """The truth tables of the recordings that have one, by name; raises UnusableInput for two folders of one name."""
     several = _several(recordings)
     refuse_same_names([recording.name for recording in several if isinstance(recording, RecordingFolder)])
-    truths = dict[str, pl.DataFrame]()
+    truths = {}
     for name, recording in zip(numbered_names([recording.name for recording in several]), several, strict=True):
         if isinstance(recording, RecordingFolder):
-            truths.update((name, table) for key, table in recording.tables.items() if key == "truth")
+            if "truth" in recording.tables:
+                truths[name] = recording.tables["truth"]
         elif "position" in recording.truth:
             values, known = recording.truth["position"]
             axes = {f"{a}_m": x for a, x in zip("xyz", np.asarray(values, float)[known].T, strict=False)}

@@ -313,7 +313,9 @@ def quantisation_step(read: Streams, column: int) -> float | None:
 
 def chance_of_repeat(moved: np.ndarray, step: float) -> float:
     """A bound of P(0) of changes (n,) in steps after a clear one: P(1)²/P(2) if log-concave; 0 without steps."""
-    one, two = (np.count_nonzero(np.round(np.abs(moved) / (step or np.inf)) == k) / 2 for k in (1, 2))
+    if step == 0.0:
+        return 0.0
+    one, two = (np.count_nonzero(np.round(np.abs(moved) / step) == k) / 2 for k in (1, 2))
     return one**2 / max(two, 1.0) / len(moved)
 
 

@@ -41,8 +41,7 @@ def _results(recording: RecordingFolder, full: bool, calibrated: bool = False) -
 
             results += check_mistakes(view, calibrated)
     for name in measured if "truth" not in tables and not calibrated else ():
-        # A height that is wrong contradicts all kinds.
-        sound = all(one.level != "error" for one in results)
+        sound = all(one.level != "error" for one in results)  # a height that is wrong contradicts all kinds
         if sound and KINDS[name].sensors and KINDS[name].predicted and not KINDS[name].numbered:
             from trackwright.trackers.recordings.checks.mistakes import check_contradictions
 

@@ -402,7 +402,9 @@ def _explanations(given: Moments, typical: np.ndarray) -> Iterator[tuple[str, li
 def check_contradictions(recording: RecordingFolder, table: str) -> Iterator[CheckResult]:
     """An error for the change with which readings agree best; a warning of one sensor that contradicts the others."""
     given, found = _moments(recording, table), list[tuple[float, int, Level, str]]()
-    errors, (unit, factor) = given.errors() if len(given.heights) >= 5 else np.zeros((0, 1)), given.view.kind.shown
+    if len(given.heights) < 5:
+        return
+    errors, (unit, factor) = given.errors(), given.view.kind.shown
     typical, heard, factor = given.typical(errors), np.isfinite(errors), factor * given.unit
     least = CONTRADICTED / (4.0 if given.view.kind.angles else 1.0)  # angles of another convention may nearly agree
     for words, of, changed in _explanations(given, typical) if (typical > least).any() else ():

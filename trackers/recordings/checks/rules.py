@@ -178,16 +178,14 @@ def check_rows(rig: Rig, tables: Tables) -> Results:
             yield CheckResult("warning", name, f"duplicate rows: {exact}; counted once")
         if again := repeated.height - repeated.n_unique(["stream", "t_s"]) - exact:
             what = f"rows with the time of another row of the same sensor and tag: {again}; kept"
-            several = "; the rows of several tags as one?" if again > rows.height / 10 else ""
-            yield CheckResult(
-                "warning", name, what + ("; the stamps have lost digits" if 2 * again > rows.height else several)
-            )
+            why = "; the stamps have lost digits" if 2 * again > rows.height else "; the rows of several tags as one?"
+            yield CheckResult("warning", name, what + why * (again > rows.height / 10))
         # Which anchors a message has in common changes from one to the next.
         along = streams(rows.drop("stream", "dt"), ids[:1]) if kind.difference else rows
         yield from broken(ANOMALIES[3:], name, "t_s", "t_s", along.with_columns(x=T)) if name != "truth" else ()
         if name == "truth":
             step = (C("x_m").diff() ** 2 + C("y_m").diff() ** 2).sqrt().over("stream")
-            yield from broken(ANOMALIES[5:], name, "truth", "step", rows.with_columns(x=step, bound=0.0))
+            yield from broken(ANOMALIES[3:], name, "truth", "step", rows.with_columns(x=step, bound=0.0))
         for column in values if name != "truth" else ():
             unit, x = column.rpartition("_")[2], C(column)
             away = (x - x.rolling_median(15, center=True, min_samples=5)).abs().over("stream")

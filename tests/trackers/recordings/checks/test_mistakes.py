@@ -149,6 +149,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         ),
         "a broken anchor": Case("warning", "without anchor A5", with_columns("ranges", range_m=pl.when((A1 == "A5") & (T > 10)).then(5.0).otherwise(R))),
         "an anchor elsewhere": Case("warning", "without anchor A2", together(only("ranges"), _anchor("A2", (6.0, -6.0, 2.4)))),
+        "half a second": Case("info", "from 0 to 0.4 s", lambda one: replace(one, tables={k: t.filter(T < 0.5) for k, t in one.tables.items()})),
         "an offset of all": Case("error", "m subtracted: an offset of the ranges", with_columns("ranges", R + 1.5)),
         "azimuths the other way": Case("error", "the sign of the azimuth flipped", together(only("bearings"), with_columns("bearings", -AZ))),
     }),
