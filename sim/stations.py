@@ -174,8 +174,8 @@ def with_stations(rig: Rig, centre: Float[np.ndarray, " 3"], count: int) -> Rig:
 class FusionDraw(AbstractDraw):
     """Ranges, and azimuth and elevation at the stations of the same rig.
 
-    `of_angles`: corruptions of the angles by name, in order. Its arrays: those of the ranges; `angles` (n, T,
-    2·stations) rad, where `heard`, azimuth and elevation of each station in the order of the rig.
+    `of_angles`: corruptions of the angles by name, in order. Its arrays: those of the ranges; `angles` (n, T, stations,
+    2) rad, azimuth and elevation of each station in the order of the rig, where `heard` (n, T, stations).
     """
 
     ranges: RangeDraw
@@ -193,11 +193,11 @@ class FusionDraw(AbstractDraw):
         xp = namespace(ranged["positions"])
         angles = xp.concatenate([station.angles(ranged["positions"]) for station in stations], axis=2)
         angles, heard = corrupted(self.of_angles, stream(stream(keys, "angles"), "corruptions"), self.times, angles)
-        return {**ranged, "angles": angles, "heard": heard}
+        heard = heard[..., ::2]  # a station hears both angles or none
+        return {**ranged, "angles": angles.reshape(*heard.shape, 2), "heard": heard}
 
     def folder(self, world: SimulatedWorld) -> RecordingFolder:
         """A row per range and per pair of angles, and truth in space."""
-        heard, names = world.heard[..., ::2], [*self.ranges.rig.stations]
-        columns = {("azimuth_rad", "elevation_rad"): world.arrays["angles"].reshape(*heard.shape, 2)}
+        names, columns = [*self.ranges.rig.stations], {("azimuth_rad", "elevation_rad"): world.arrays["angles"]}
         stations = {"station": (np.arange(len(names)), names)}
-        return self.ranges.folder(world, bearings=ArrayRows(world.times, world.ids, columns, heard, stations))
+        return self.ranges.folder(world, bearings=ArrayRows(world.times, world.ids, columns, world.heard, stations))

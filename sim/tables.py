@@ -18,7 +18,7 @@ import polars as pl
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trackwright.sim.corruptions import Corruption
-from trackwright.sim.keys import Keys, stream, trajectory_keys
+from trackwright.sim.keys import Keys, namespace, stream, trajectory_keys
 from trackwright.sim.paths import PATHS, WALK, PathFunction, Positions, Times
 from trackwright.trackers import catalogue
 from trackwright.trackers.core.data.recording import Recording
@@ -126,7 +126,7 @@ class AbstractDraw(eqx.Module):
     """
 
     measured: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    """By the name of an array of readings, that of the mask of the same shape that says which there are."""
+    """By the name of an array of readings, that of the mask, of all its axes or the first ones, of those there are."""
 
     size: ClassVar[int] = 256
     """Trajectories drawn together in NumPy."""
@@ -148,6 +148,12 @@ class AbstractDraw(eqx.Module):
         """The arrays, with the rules of NumPy for shapes and types, whatever jax is set to."""
         with as_numpy():
             return self.arrays(keys)
+
+    def there(self, arrays: Mapping[str, Any], name: str) -> Any:
+        """Which of the readings of this name there are, of their shape."""
+        values, mask = arrays[name], arrays[self.measured[name]]
+        whole = mask.reshape(*mask.shape, *[1] * (values.ndim - mask.ndim))
+        return namespace(mask).broadcast_to(whole, values.shape)
 
     def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"], name: str = "world") -> SimulatedWorld:
         """The simulated world of these arrays."""
@@ -195,8 +201,8 @@ class SimulatedWorld:
         arrays = self.arrays if "draw" in self.__dict__ else {}
         if name not in arrays:
             raise AttributeError(f"a simulated world has no array {name!r}; it has {', '.join(arrays)}")
-        values, mask = arrays[name], self.draw.measured.get(name)
-        return values if mask is None else np.where(arrays[mask], values, values.dtype.type(0))
+        values, draw = arrays[name], self.draw
+        return np.where(draw.there(arrays, name), values, values.dtype.type(0)) if name in draw.measured else values
 
     def folder(self, name: str | None = None) -> RecordingFolder:
         """The recording folder in memory: tables, rig and truth, one tag per trajectory."""

@@ -81,9 +81,9 @@ def _program_of(study: Study, condition: Condition, name: str) -> ChunkProgram |
         key = condition.index, name, bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
         if key not in study.programs:
             ids, batches = np.zeros(piece_of(study.chunk), int), partial(_batches, study, condition, name)
-            folder, part = _folder(study, condition, ids[:1]), part_of(study.seed, ids)
+            folder, part, config = _folder(study, condition, ids[:1]), part_of(study.seed, ids), study.trackers[name]
             try:
-                study.programs[key] = compiled(folder, batches, study.trackers[name].every, part)
+                study.programs[key] = compiled(folder, batches, config.spec.places, config.every, part)
             except UnfitError:
                 study.programs[key] = None
         return study.programs[key]

@@ -1,8 +1,9 @@
 """A chunk of a study as one program: its trajectories are drawn, tracked and scored without leaving the device.
 
 Where each number of a tracker's rows comes from is found by a trajectory whose readings are all there and all differ;
-another one, with some missing, must follow by the same rule. A tracker whose rows hold anything else that depends
-on readings, as the position from which trackers of ranges start, has no such program: `chunk.py` runs it on recordings.
+another one, with some missing, must follow by the same rule. The places for starts, `nearby`, are computed from the
+readings where the tracker says how. A tracker whose rows hold anything else that depends on readings, as the places
+of range differences, has no such program: `chunk.py` runs it on recordings.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.core.programs import Program, compiled_program, kept_program, types_of
 from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.parts.start_nearby import NEARBY, AbstractPlaces
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectories
 
@@ -50,6 +52,7 @@ TICKS = 2**30
 """Steps into which the time of a trajectory is divided: float32 has no more than 2²⁴."""
 
 Batches = Callable[[RecordingFolder], list[TrackerBatch]]
+PlacesOf = Callable[[Trajectories, bool], AbstractPlaces] | None
 
 
 class UnfitError(Exception):
@@ -62,7 +65,7 @@ class Rows(eqx.Module):
     There are several sequences where a tracker takes each station by itself. `places` (S, R, m): of each reading among
     the drawn numbers, where `there`; `reported` and `inputs`: constant. `ticks` (R,): the times of rows, in steps of
     `tick` s; `group`: equal for rows of one time; `interval`, in which only the last row is scored; `truth`: the number
-    of the true position. `heights` (S,) m: known ones, NaN for none.
+    of the true position. `heights` (S,) m: known ones, NaN for none. `nearby`: how that input follows from readings.
     """
 
     places: dict[str, Int[np.ndarray, "S R m"]]
@@ -76,16 +79,17 @@ class Rows(eqx.Module):
     truth: Int[np.ndarray, " R"]
     heights: Float[Any, " S"]
     truth_height: float
+    nearby: AbstractPlaces | None
     stations: tuple[Station, ...] = eqx.field(static=True)
     times_differ: bool = eqx.field(static=True)
     regular: bool = eqx.field(static=True)
 
-    def batch(self, measured: Mapping[str, str], arrays: Mapping[str, Array]) -> Batch:
+    def batch(self, draw: AbstractDraw, arrays: Mapping[str, Array]) -> Batch:
         """The batch of the S n sequences, those of one station side by side.
 
         A row without any reading is padding, unless the rows are `regular`.
         """
-        values, seen = (_flat([arrays[name] for name in names]) for names in zip(*measured.items(), strict=True))
+        values, seen = _flat([arrays[name] for name in draw.measured]), _flat(_masks(draw, arrays))
 
         def constant(x: Any) -> Array:
             """(S, R, …) as (R, …, S n)."""
@@ -102,6 +106,9 @@ class Rows(eqx.Module):
             readings[name] = Reading(numbers, there, constant(self.reported[name]))
         valid = jnp.any(jnp.concatenate([r.seen for r in readings.values()], axis=1), axis=1) | self.regular
         inputs = {name: constant(x) for name, x in self.inputs.items()}
+        if self.nearby is not None:
+            (reading,) = readings.values()
+            inputs[NEARBY.name] = self.nearby(reading.values, reading.seen)
         key = jnp.zeros((2, valid.shape[1]), jnp.uint32)
         return Batch(self._steps(valid), valid, readings, inputs, {}, key)
 
@@ -165,6 +172,10 @@ class Rows(eqx.Module):
         return last(usable & finite, self.interval)
 
 
+def _masks(draw: AbstractDraw, arrays: Mapping[str, Any]) -> list[Any]:
+    return [draw.there(arrays, name) for name in draw.measured]
+
+
 def _flat(arrays: list[Array]) -> Array:
     """The numbers of arrays (n, …) as (numbers, n), in memory: XLA would draw them anew in the order of their use."""
     return jax.lax.optimization_barrier(jnp.concatenate([jnp.moveaxis(x, 0, -1).reshape(-1, len(x)) for x in arrays]))
@@ -182,7 +193,7 @@ def chunk_scores(model: tuple[AbstractDraw, AbstractTracker, Rows], part: Part) 
     draw, tracker, rows = model
     arrays = draw(keys_of(part.key, part.ids))
     with as_numpy():
-        batch = rows.batch(draw.measured, arrays)
+        batch = rows.batch(draw, arrays)
         return rows.scored(tracker.accumulate(batch, _moments, every_row=True), rows.true(arrays))
 
 
@@ -228,19 +239,24 @@ def part_of(seed: int, ids: np.ndarray) -> Part:
         return Part(np.asarray(seed_key(seed)), ids.astype(np.uint32))
 
 
-def compiled(folder: RecordingFolder, batches: Batches, every: float | None, part: Part) -> ChunkProgram:
+def compiled(
+    folder: RecordingFolder, batches: Batches, places: PlacesOf, every: float | None, part: Part
+) -> ChunkProgram:
     """The program of a tracker for the world of a simulated folder; raises UnfitError where it has none.
 
-    `batches`: of a folder, with the tracker's settings. `every`: s, an interval in which the last row alone is scored.
+    `batches`: of a folder, with the tracker's settings. `places`: of its specification. `every`: s, an interval in
+    which the last row alone is scored.
     """
     draw = folder.tables.draw if isinstance(folder.tables, SimulatedTables) else None
-    if draw is None or not draw.measured:
+    if draw is None:
         raise UnfitError("the world has no draw")
     drawn = draw.world(draw(keys_of(part.key, part.ids[:1])), part.ids[:1].astype(int)).folder(folder.name)
     alike = [name in folder.tables and table.equals(folder.tables[name]) for name, table in drawn.tables.items()]
     if not all(alike) or pickle.dumps((drawn.rig, None)) != pickle.dumps((folder.rig, folder.calibration)):
         raise UnfitError("the folder is not as it was drawn")
-    model = as_dtype((draw, *_understood(draw, folder.name, batches, every)), jax.dtypes.canonicalize_dtype(float))
+    model = as_dtype(
+        (draw, *_understood(draw, folder.name, batches, places, every)), jax.dtypes.canonicalize_dtype(float)
+    )
     try:
         return ChunkProgram(model, _program(model, part))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
@@ -255,19 +271,18 @@ def expected(
     `world`: of `tw.simulate`, whose levels may be traced; the expectation is over its trajectories, which have the same
     random numbers in every call. `tracker`: of the catalogue, with these `values` of its tunables by name or pattern,
     which may be traced. `metric`: `rmse_` or `mean_` and a kind of error, as in `rmse_3d_m`. Whether a reading is an
-    outlier or lost, and where a search begins a track, has no derivative. Raises UnusableInput for another metric, and
-    for a tracker whose rows are no drawn numbers, as of ranges and bearings.
+    outlier or lost, where a track begins, and how far bearings bend has no derivative. Raises UnusableInput for another
+    metric, and for a tracker whose rows are no drawn numbers, as of range differences.
     """
     spec, plain = spec_of(tracker), jax.tree_util.tree_map(_any_number, world.draw)
 
     def batches(folder: RecordingFolder) -> list[TrackerBatch]:
-        return [
-            replace(batch, tracker=with_values(batch.tracker, values, f"tracker '{tracker}'"))
-            for batch in spec.batches([folder], tracker)
-        ]
+        with jax.ensure_compile_time_eval():
+            found = spec.batches([folder], tracker)
+        return [replace(b, tracker=with_values(b.tracker, values, f"tracker '{tracker}'")) for b in found]
 
     try:
-        understood = _understood(plain, world.name, batches, None)
+        understood = _understood(plain, world.name, batches, spec.places, None)
     except UnfitError as error:
         raise UnusableInput(f"expected: tracker '{tracker}' on {world.name}: {error}; run a study") from error
     # Not known to the compiler, which would draw constants.
@@ -302,8 +317,12 @@ def _program(model: Any, part: Part) -> Program:
     return _programs[key]
 
 
-def _understood(draw: AbstractDraw, name: str, batches: Batches, every: float | None) -> tuple[AbstractTracker, Rows]:
+def _understood(
+    draw: AbstractDraw, name: str, batches: Batches, places: PlacesOf, every: float | None
+) -> tuple[AbstractTracker, Rows]:
     """The tracker of a world's folders, and how its rows follow from the draw; raises UnfitError."""
+    if not draw.measured:
+        raise UnfitError("the world has no draw for programs")
     probes = [_probe(draw, name, number, batches) for number in range(2)]
     tracker = probes[0].batch.tracker.for_positions()
     if getattr(getattr(tracker, "filter", None), "has_particle_axis", False):
@@ -311,7 +330,7 @@ def _understood(draw: AbstractDraw, name: str, batches: Batches, every: float | 
     latency = getattr(tracker, "latency", None)
     if isinstance(latency, jax.core.Tracer) or latency not in (None, 0.0):
         raise UnfitError("estimates are late")
-    return tracker, _rows(draw, probes, every)
+    return tracker, _rows(draw, probes, places, every)
 
 
 class _Probe(NamedTuple):
@@ -345,11 +364,12 @@ def _probe(draw: AbstractDraw, name: str, number: int, batches: Batches) -> _Pro
     trajectories = Trajectories.of(found[0].trajectories)
     if set(trajectories.tags) != {str(number)}:
         raise UnfitError("a body has several tags")
-    values, there = (np.concatenate([arrays[x].ravel() for x in of]) for of in zip(*draw.measured.items(), strict=True))
+    both = [arrays[of] for of in draw.measured], _masks(draw, arrays)
+    values, there = (np.concatenate([x.ravel() for x in each]) for each in both)
     return _Probe(values, there, found[0], trajectories)
 
 
-def _rows(draw: AbstractDraw, probes: Sequence[_Probe], every: float | None) -> Rows:
+def _rows(draw: AbstractDraw, probes: Sequence[_Probe], places_of: PlacesOf, every: float | None) -> Rows:
     """How the rows follow from the numbers, by two probes; raises UnfitError."""
     (numbers, _, batch, trajectories), columns = probes[0], probes[0].trajectories.columns
     S, lengths = len(columns), np.diff(columns.starts)
@@ -376,7 +396,8 @@ def _rows(draw: AbstractDraw, probes: Sequence[_Probe], every: float | None) -> 
         there[name] = sequences(readings.seen)
         of_row = readings.reported
         reported[name] = sequences(np.zeros((len(columns.times), 0)) if of_row is None else of_row)
-    inputs = {name: sequences(x) for name, x in columns.inputs.items()}
+    nearby = places_of(trajectories, batch.planar) if places_of else None
+    inputs = {k: sequences(x) for k, x in columns.inputs.items() if nearby is None or k != NEARBY.name}
     # A fraction of the shortest step between rows; one number of steps for both, so that their order is kept.
     span = times[0][-1] - times[0][0]
     ticks = np.round((times[0] - times[0][0]) / (span or 1.0) * TICKS).astype(np.int32)
@@ -386,7 +407,7 @@ def _rows(draw: AbstractDraw, probes: Sequence[_Probe], every: float | None) -> 
     regular = _check(places, there, reported, inputs, times, probes)
     truth_height, differ = float(true[0, -1]), len(set(group.tolist())) == len(group)
     of_times = ticks, (span or 1.0) / TICKS, group, interval.astype(np.int32), truth
-    return Rows(places, there, reported, inputs, *of_times, heights, truth_height, stations, differ, regular)
+    return Rows(places, there, reported, inputs, *of_times, heights, truth_height, nearby, stations, differ, regular)
 
 
 def _check(places: Any, there: Any, reported: Any, inputs: Any, times: np.ndarray, probes: Sequence[_Probe]) -> bool:

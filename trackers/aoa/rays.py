@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations_with_replacement
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
-from trackwright.trackers.core.model.algebra import Scalar, product
+from trackwright.trackers.core.model.algebra import Scalar, product, total
 from trackwright.trackers.core.model.inputs import AnyArray
+from trackwright.trackers.parts.multilaterate import inverse
+from trackwright.trackers.parts.start_nearby import AbstractPlaces, last_of_times
 from trackwright.trackers.recordings.columns import first_not_before
 
 MIN_INFORMATION = 0.02
@@ -17,6 +22,9 @@ MIN_INFORMATION = 0.02
 
 WINDOW_S = 1.0
 """How long a ray counts, s."""
+
+MIN_RAYS, PATIENCE_S = 4, 1.0
+"""Number of bearings for which a start waits, and for how long, s: two biased ones can meet outside the room."""
 
 
 def unit_vector(azimuth: Scalar, elevation: Scalar) -> jax.Array:
@@ -44,6 +52,41 @@ def nearest_to_rays(
     return (by_a * sums[0] + by_b * sums[1] + by_c * sums[2]) / product(a, by_a)
 
 
+class RayPlaces(AbstractPlaces):
+    """The points nearest to the rays of the last second, for N rows of bearings, one a row.
+
+    `first` and `last` (N,): the rows whose rays count, up to the last one of a row's time. `earlier` (N,): the number
+    of rows at least `PATIENCE_S` earlier. `origins` (N, 3) m and `axes` (N, 9): of each row's station. `height`: m,
+    None where unknown.
+    """
+
+    first: Int[Any, " N"]
+    last: Int[Any, " N"]
+    earlier: Int[Any, " N"]
+    origins: Float[Any, "N 3"]
+    axes: Float[Any, "N 9"]
+    height: Scalar | None
+
+    @classmethod
+    def of(cls, times: np.ndarray, origins: np.ndarray, axes: np.ndarray, height: float | None) -> RayPlaces:
+        """The places of rows at these times (N,), s."""
+        ends, of_row = last_of_times(np.array([0, len(times)]), times)
+        first, earlier = np.searchsorted(times, times - WINDOW_S), np.searchsorted(times, times - PATIENCE_S, "right")
+        return cls(first, ends[of_row], earlier, origins, axes, height)
+
+    def __call__(self, values: Float[Array, "N 2 B"], seen: Bool[Array, "N 2 B"]) -> Float[Array, "N 4 B"]:
+        heard = jnp.any(seen, axis=1).astype(values.dtype)
+        rays = _projections(jnp, values[:, 0], values[:, 1], seen[:, 0], seen[:, 1], self.origins, self.axes)
+        # Step by step: a cumulative sum of jax takes several times as long as the filter.
+        sums = jnp.stack([*rays, heard], axis=1)
+        sums = jax.lax.scan(lambda above, row: (above + row,) * 2, jnp.zeros_like(sums[0]), sums)[1]
+        sums = jnp.concatenate([jnp.zeros_like(sums[:1]), sums])
+        now, before, count = sums[self.last + 1], sums[self.first], sums[:, -1]
+        *place, determined = _nearest_points(jnp, [*jnp.moveaxis(now - before, 1, 0)[:-1]], self.height)
+        determined &= (count[self.last + 1] >= MIN_RAYS) | (count[self.earlier] > 0)
+        return jnp.stack([jnp.where(determined, x, 0.0) for x in (*place, determined)], axis=1)
+
+
 def recent_points(
     starts: np.ndarray, times: np.ndarray, origins: np.ndarray, axes: np.ndarray, angles: np.ndarray, seen: np.ndarray,
     heights: np.ndarray,
@@ -53,53 +96,63 @@ def recent_points(
     `starts` (n + 1,): the first row of each of n tags, then T. `times` (T,) s, sorted by tag; `origins` (T, 3) m and
     `axes` (T, 9): of each row's station; `angles` (T, 2) rad and `seen` (T, 2): an azimuth alone counts as the plane
     through the array's y axis that it tells. `heights` (n,) m: NaN where unknown; with a known one a ray can be enough.
+    All rows of a time have its point.
     """
-    azimuth, elevation = angles.T
-    u = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], axis=1)
-    direction = np.einsum("tk,tki->ti", u, axes.reshape(-1, 3, 3))
-    both, seen = np.all(seen, axis=1, keepdims=True)[..., None], seen[:, 0]
-    across = np.stack([np.cos(azimuth), 0.0 * azimuth, -np.sin(azimuth)], axis=1)
-    normal = np.einsum("tk,tki->ti", across, axes.reshape(-1, 3, 3))
-    ray, plane = np.eye(3) - direction[:, :, None] * direction[:, None, :], normal[:, :, None] * normal[:, None, :]
-    projection = np.where(seen[:, None, None], np.where(both, ray, plane), 0.0)
-    lengths = np.diff(starts)
-    first = first_not_before(times, np.repeat(starts[:-1], lengths), np.arange(len(times)), times - WINDOW_S)
-    information, sums, counts = (
-        _windowed(x, starts, first)
-        for x in (projection, np.einsum("tij,tj->ti", projection, origins), seen.astype(float))
-    )
-    points, row_heights = np.zeros((len(times), 4)), np.repeat(heights, lengths)
+    last, of_row = last_of_times(starts, times)
+    begin, row_heights = np.repeat(starts[:-1], np.diff(starts))[last], np.repeat(heights, np.diff(starts))[last]
+    first = first_not_before(times, begin, last, times[last] - WINDOW_S)
+    rays = _projections(np, angles[:, 0], angles[:, 1], seen[:, 0], seen[:, 1], origins, axes)
+    windowed = np.stack([_windowed(x, starts, first, last) for x in rays])
+    points = np.zeros((len(last), 4))
     for known in (True, False):
         rows = np.flatnonzero(np.isfinite(row_heights) == known)
-        if len(rows):
-            parts = (information[rows], sums[rows], counts[rows])
-            points[rows] = _nearest_points(*parts, row_heights[rows] if known else None)
-    return points
+        *place, determined = _nearest_points(np, [*windowed[:, rows]], row_heights[rows] if known else None)
+        points[rows] = np.stack([np.where(determined, x, 0.0) for x in (*place, determined)], axis=1)
+    return points[of_row]
 
 
-def _nearest_points(
-    information: np.ndarray, sums: np.ndarray, counts: np.ndarray, height: np.ndarray | None
-) -> np.ndarray:
-    """Points (n, 3), m, and whether they are determined, from sums of projections over rays; `height` (n,) m."""
-    size = 3 if height is None else 2
+def _projections(
+    xp: Any, azimuth: Any, elevation: Any, seen: Any, both: Any, origins: np.ndarray, axes: np.ndarray
+) -> list[Any]:
+    """Of rays (T, …), by `xp`, NumPy or jax's: the upper triangle of the projections P across them, P·origin, and 1.
+
+    Zero where the azimuth is not `seen`; where it is seen alone, P projects onto the normal of its plane.
+    """
+    origin, axis = (x.T.reshape(*x.shape[::-1], *[1] * (azimuth.ndim - 1)) for x in (origins, axes))
+    sine, cosine, level = xp.sin(azimuth), xp.cos(azimuth), xp.cos(elevation)
+    along, across = (sine * level, xp.sin(elevation), cosine * level), (cosine, 0.0 * cosine, -sine)
+    u, normal = ([total(v[k] * axis[3 * k + i] for k in range(3)) for i in range(3)] for v in (along, across))
+    entry = {
+        (i, j): xp.where(seen, xp.where(both, float(i == j) - u[i] * u[j], normal[i] * normal[j]), 0.0)
+        for i, j in combinations_with_replacement(range(3), 2)
+    }
+    sums = [total(entry[min(i, j), max(i, j)] * origin[j] for j in range(3)) for i in range(3)]
+    return [*entry.values(), *sums, xp.where(seen, 1.0, 0.0 * azimuth)]
+
+
+def _nearest_points(xp: Any, sums: list[Any], height: Any) -> tuple[Any, Any, Any, Any]:
+    """Points x, y, z, m, and whether they are determined, from sums of `_projections`; `height`: m, None if unknown."""
+    xx, xy, xz, yy, yz, zz, x, y, z, count = sums
+    matrix, right = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], [x, y, z]
     if height is not None:
-        sums = sums[:, :2] - information[:, :2, 2] * height[:, None]
-    information = information[:, :size, :size]
-    smallest = np.linalg.eigvalsh(information)[:, 0] / np.maximum(counts, 1.0)
-    determined = smallest > MIN_INFORMATION
-    safe = np.where(determined[:, None, None], information, np.eye(size))
-    points = np.linalg.solve(safe, sums[:, :size, None])[:, :, 0]
-    if height is not None:
-        points = np.concatenate([points, height[:, None]], axis=1)
-    return np.concatenate([np.where(determined[:, None], points, 0.0), determined[:, None]], axis=1)
+        matrix, right = [[xx, xy], [xy, yy]], [x - xz * height, y - yz * height]
+    # Sylvester's criterion: the smallest eigenvalue is above a number where, less it, all leading minors are positive.
+    least = MIN_INFORMATION * xp.maximum(count, 1.0)
+    a, b, c = xx - least, yy - least, zz - least
+    determined = (a > 0.0) & (a * b - xy * xy > 0.0)
+    if height is None:
+        determined &= a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz) > 0.0
+    safe = [[xp.where(determined, e, float(i == j)) for j, e in enumerate(row)] for i, row in enumerate(matrix)]
+    place = [total(a * b for a, b in zip(row, right, strict=True)) for row in inverse(safe)]
+    return *(place if height is None else [*place, height + 0.0 * x]), determined
 
 
-def _windowed(values: np.ndarray, starts: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """The sum of the rows first[t] … t of the same tag, as a difference of cumulative sums over the tag's rows."""
+def _windowed(values: np.ndarray, starts: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """The sums of the rows first[k] … last[k] of one tag, as differences of cumulative sums over the tag's rows."""
     lengths = np.diff(starts)
     tag = np.repeat(np.arange(len(lengths)), lengths)
-    row = np.arange(len(values)) - starts[:-1][tag]
-    total = np.zeros((len(lengths), int(lengths.max()) + 1, *values.shape[1:]))
-    total[tag, row + 1] = values
-    np.cumsum(total, axis=1, out=total)
-    return total[tag, row + 1] - total[tag, first - starts[:-1][tag]]
+    sums = np.zeros((len(lengths), int(lengths.max()) + 1))
+    sums[tag, np.arange(len(values)) - starts[:-1][tag] + 1] = values
+    np.cumsum(sums, axis=1, out=sums)
+    of, begin = tag[last], starts[:-1][tag[last]]
+    return sums[of, last - begin + 1] - sums[of, first - begin]

@@ -12,11 +12,12 @@ from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, CALIBRATION, bearing_inputs, bearing_tracker
 from trackwright.trackers.aoa.mapped_bearings import mapped_bearing_tracker
-from trackwright.trackers.aoa.rays import recent_points
+from trackwright.trackers.aoa.rays import MIN_RAYS, PATIENCE_S, RayPlaces, recent_points
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.rig import Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.parts.start_nearby import last_of_times
 from trackwright.trackers.recordings.calibration import floor_grid
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -31,9 +32,6 @@ from trackwright.trackers.recordings.tracks import (
 
 REPEATED, AVERAGE_S = 0.5, 0.5
 """Share of repeated bearings above which they are averaged, over this interval, s: their errors last longer still."""
-
-MIN_RAYS, PATIENCE_S = 4, 1.0
-"""Number of bearings for which a start waits, and for how long, s: two biased ones can meet outside the room."""
 
 IN_PLANE = 0.5  # largest difference of height, m, between a flat array and a tag in its plane
 
@@ -58,12 +56,18 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
         inputs["calibration"], directions, added = folder.calibration.of_bearings(list(stations), number, values)
         reported[:, ::2] += added
     nearby = recent_points(rows.starts, rows.times, origin, axes, directions, seen, heights)
-    begin = np.repeat(rows.starts[:-1], np.diff(rows.starts))
-    early = (np.arange(len(values)) - begin < MIN_RAYS - 1) & (rows.times - rows.times[begin] < PATIENCE_S)
+    begin, (last, of_row) = np.repeat(rows.starts[:-1], np.diff(rows.starts)), last_of_times(rows.starts, rows.times)
+    early = (last[of_row] - begin < MIN_RAYS - 1) & (rows.times - rows.times[begin] < PATIENCE_S)
     inputs[ROOM.name] = room_rows(np.stack([s.position for s in stations.values()]), folder.rig.outline, len(values))
     inputs["nearby"] = np.where(early[:, None], 0.0, nearby)
     readings = {BEARINGS: Readings(values, seen, reported)}
     return trajectories_of(folder, rows.tags, rows.starts, rows.times, readings, inputs)
+
+
+def bearing_places(trajectories: Trajectories, planar: bool) -> RayPlaces:
+    """How the input `nearby` of one tag's rows follows from its bearings; `planar`: at the known height."""
+    rows, height = trajectories.columns, float(trajectories.heights[0]) if planar else None
+    return RayPlaces.of(rows.times, rows.inputs["origin"], rows.inputs["axes"], height)
 
 
 def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
@@ -254,6 +258,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         geometry=lambda of: (len(of.folder.rig.stations), _calibrated(of), _map_key(of.folder)),
         notices=_without_map,
         every_row=(BEARINGS,),
+        places=bearing_places,
     ),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

@@ -1,20 +1,26 @@
-"""Multilateration: robust least-squares positions from ranges, of one epoch, or for every row from the last seconds.
+"""Multilateration: robust least-squares positions from ranges, of one epoch, or for every time from the last seconds.
 
-From those of the last seconds, computed on the host, range trackers start.
+From those of the last seconds range trackers start.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from trackwright.trackers.core.model.algebra import Scalar, Vector, total
 from trackwright.trackers.core.model.inputs import AnyArray
+from trackwright.trackers.core.model.rig import mirrored
 from trackwright.trackers.core.run.chunks import called
+from trackwright.trackers.parts.median import nan_median
+from trackwright.trackers.parts.start_nearby import AbstractPlaces, last_of_times
+from trackwright.trackers.recordings.columns import first_not_before
 
 ITERATIONS = 20
 """Gauss–Newton steps; with weights that change at every step, convergence is linear."""
@@ -150,7 +156,60 @@ CAUCHY_SCALE = 0.3
 """Cauchy scale, m: residuals beyond it are down-weighted."""
 
 BLOCK, BLOCKS = 256, 16
-"""Rows solved at once, few enough for the processor's cache, and blocks of them per call."""
+"""Times solved at once, few enough for the processor's cache, and blocks of them per call."""
+
+
+class RangePlaces(AbstractPlaces):
+    """Positions from the ranges of the last seconds, for every time of N rows of ranges, one a row.
+
+    `rows` (K, A, W): of each of K times the latest rows so far with ranges to each of A anchors, the latest first;
+    `windows` (K, A, W): in how many of `WINDOWS_S` each is. `of_row` (N,): the number of each row's time. `anchors`
+    (A, 3) m. With a known `height`, m, three anchors are needed, without, None, four. The second window is used where
+    the ranges of the first do not determine the position; the first `slots` of the W rows can be in the first. Heights
+    are on the side of the `limits` (2,), m.
+    """
+
+    rows: Int[Any, "K A W"]
+    windows: Int[Any, "K A W"]
+    of_row: Int[Any, " N"]
+    anchors: Float[Any, "A 3"]
+    height: Scalar | None
+    limits: Float[Any, " 2"]
+    slots: int = eqx.field(static=True)
+
+    def __call__(self, values: Float[Array, "N 1 B"], seen: Bool[Array, "N 1 B"]) -> Float[Array, "N 4 B"]:
+        (times, *_), lanes = self.rows.shape, values.shape[2]
+        all_rows, all_windows = jnp.asarray(self.rows), jnp.asarray(self.windows)
+
+        def at(values: Array, rows: Int[Array, "A w g"], windows: Int[Array, "A w g"], least: int) -> Array:
+            shape = (*rows.shape[:2], -1)
+            counts = (seen[rows, 0] & (windows >= least)[..., None]).reshape(shape)
+            return placed(self.anchors, self.height, values[rows, 0].reshape(shape), counts)
+
+        # So many times together that they fill a block.
+        together = max(1, BLOCK // lanes)
+        blocks = -(-times // together)
+
+        def in_blocks(x: Array) -> Array:
+            whole = jnp.pad(x[:, :, : self.slots], [(0, blocks * together - times), (0, 0), (0, 0)])
+            return jnp.moveaxis(whole.reshape(blocks, together, *whole.shape[1:]), 1, -1)
+
+        blocked = in_blocks(all_rows), in_blocks(all_windows)
+        near = jax.lax.map(lambda block: at(values, block[0], block[1], 2), blocked)
+        near = jnp.swapaxes(near.reshape(blocks, 4, together, lanes), 1, 2).reshape(-1, 4, lanes)[:times]
+
+        def further(places: tuple[Array, Array]) -> tuple[Array, Array]:
+            far, wanted = places
+            k = jnp.argmax(wanted)
+            place = at(jax.lax.stop_gradient(values), all_rows[k][..., None], all_windows[k][..., None], 1)
+            return far.at[k].set(place), wanted.at[k].set(False)
+
+        # Time after time where one is wanted, which is hardly ever.
+        wanted = jnp.any(near[:, 3] == 0, axis=1) & jnp.any(all_windows == 1, axis=(1, 2))
+        far, _ = jax.lax.while_loop(lambda of: jnp.any(of[1]), further, (jnp.zeros_like(near), wanted))
+        place = jnp.where(near[:, 3:] > 0, near, far)
+        height = jnp.where(place[:, 3] > 0, mirrored(place[:, 2], self.limits), 0.0)
+        return place.at[:, 2].set(height)[self.of_row]
 
 
 def recent_positions(
@@ -160,25 +219,26 @@ def recent_positions(
     """For every row (N, 4): the position from the ranges of the last seconds, m, and 1 where they determine it.
 
     `starts` (n + 1,): the first row of each of n tags, then N. `times` (N,) s, sorted by tag; `anchors` (A, 3) m;
-    `numbers` (N,): the anchor of each row; `ranges` (N,) m and `seen` (N,). `heights` (n,) m: of the tags; with a known
-    one three anchors are needed, without, NaN, four. The second of `WINDOWS_S` is used where the ranges of the first do
-    not determine the position.
+    `numbers` (N,): the anchor of each row; `ranges` (N,) m and `seen` (N,). `heights` (n,) m: of the tags, NaN where
+    unknown. All rows of a time have its position, as in `RangePlaces`.
     """
-    result = np.zeros((len(times), 4))
-    row_heights = np.repeat(heights, np.diff(starts))
-    latest = latest_rows(starts, numbers, seen, len(anchors))
-    for window in WINDOWS_S:
-        rows = np.flatnonzero(result[:, 3] == 0)
-        if len(rows) == 0:
-            break
-        medians = _medians(starts, times, numbers, ranges, seen, window)
-        recent = (latest[rows] >= 0) & (times[rows, None] - times[latest[rows]] <= window)
-        for height in np.unique(heights):
-            at_height = np.isnan(row_heights[rows]) if np.isnan(height) else row_heights[rows] == height
-            known = None if np.isnan(height) else float(height)
-            part = np.flatnonzero(at_height)
-            result[rows[part]] = _positions(anchors, medians[latest[rows[part]]], recent[part], known)
-    return result
+    last, of_row = last_of_times(starts, times)
+    rows, windows = recent_rows(starts, times, numbers, seen, len(anchors), MEDIAN_RANGES)
+    floating = jax.dtypes.canonicalize_dtype(float)
+    result, height_of = np.zeros((len(last), 4)), np.repeat(heights, np.diff(starts))[last]
+    # Arrays of NumPy go to the device with the call, in a third of the time.
+    values = ranges.astype(floating)
+    for height in np.unique(heights):
+        known = None if np.isnan(height) else np.asarray(height, floating)
+        part = np.flatnonzero(np.isnan(height_of) if known is None else height_of == height)
+        for first in range(0, len(part), BLOCK * BLOCKS):
+            at = part[first : first + BLOCK * BLOCKS]
+            of_blocks = np.pad(at, (0, BLOCK * BLOCKS - len(at)), "edge").reshape(BLOCKS, BLOCK)
+            given = (np.ascontiguousarray(np.moveaxis(x[of_blocks], 1, -1)) for x in (values[rows], windows))
+            blocks = np.asarray(-(-len(at) // BLOCK), np.int32)
+            solved = called(_solved, (np.asarray(anchors, floating), known), (*given, blocks))
+            result[at] = np.moveaxis(np.asarray(solved), -1, 1).reshape(-1, 4)[: len(at)]
+    return result[of_row]
 
 
 def latest_rows(starts: np.ndarray, numbers: np.ndarray, seen: np.ndarray, count: int) -> np.ndarray:
@@ -196,65 +256,61 @@ def latest_rows(starts: np.ndarray, numbers: np.ndarray, seen: np.ndarray, count
     return latest_of_each
 
 
-def _medians(
-    starts: np.ndarray, times: np.ndarray, numbers: np.ndarray, ranges: np.ndarray, seen: np.ndarray, window: float
-) -> np.ndarray:
-    """Per row with a range (N,): the median of its anchor's latest ranges to the tag in the window, m."""
-    tag = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-    kept = np.flatnonzero(seen)
-    order = kept[np.lexsort((numbers[kept], tag[kept]))]
-    same = tag[order] * (int(numbers.max(initial=0)) + 1) + numbers[order]
-    back = np.arange(len(order))[:, None] - np.arange(MEDIAN_RANGES)
-    before = np.maximum(back, 0)
-    recent = (back >= 0) & (same[before] == same[:, None]) & (times[order][:, None] - times[order][before] <= window)
-    ordered = np.sort(np.where(recent, ranges[order][before], np.inf), axis=1)
-    count = recent.sum(axis=1)
-    row = np.arange(len(order))
-    medians = np.zeros(len(times))
-    medians[order] = (ordered[row, (count - 1) // 2] + ordered[row, count // 2]) / 2.0
-    return medians
+def recent_rows(
+    starts: np.ndarray, times: np.ndarray, numbers: np.ndarray, seen: np.ndarray, count: int, most: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The fields `rows` and `windows` of `RangePlaces`: of `most` rows per anchor, by default of all in the windows."""
+    last, begins = last_of_times(starts, times)[0], np.repeat(starts[:-1], np.diff(starts))
+    own = [np.flatnonzero(seen & (numbers == anchor)) for anchor in range(count)]
+    until = np.stack([np.searchsorted(rows, last, "right") for rows in own], axis=1)
+    if most is None:
+        oldest = first_not_before(times, begins[last], last, times[last] - WINDOWS_S[-1])
+        since = np.stack([np.searchsorted(rows, oldest) for rows in own], axis=1)
+        most = int((until - since).max())
+    index = until[..., None] - 1 - np.arange(most)
+    rows = np.stack([np.append(rows, -1)[np.maximum(index[:, k], -1)] for k, rows in enumerate(own)], axis=1)
+    age = np.where(rows >= begins[last, None, None], times[last, None, None] - times[rows], np.inf)
+    windows = (age[None] <= np.reshape(WINDOWS_S, (-1, 1, 1, 1))).sum(axis=0, dtype=np.int8)
+    return np.where(windows > 0, rows, 0).astype(np.int32), windows
 
 
-def _positions(anchors: np.ndarray, ranges: np.ndarray, counts: np.ndarray, height: float | None) -> np.ndarray:
-    """`recent_positions` (T, 4) from ranges (T, A) where `counts` (T, A) is true."""
-    result = np.zeros((len(ranges), 4))
-    # Arrays of NumPy go to the device with the call, in a third of the time.
-    floating = jax.dtypes.canonicalize_dtype(float)
-    known = np.asarray(anchors, floating), None if height is None else np.asarray(height, floating)
-    for first in range(0, len(ranges), BLOCK * BLOCKS):
-        part = slice(first, first + BLOCK * BLOCKS)
-        rows = len(ranges[part])
-        padded, padded_counts = (np.zeros((BLOCKS * BLOCK, len(anchors)), kind) for kind in (floating, bool))
-        padded[:rows], padded_counts[:rows] = ranges[part], counts[part]
-        solved = called(
-            _solved, known, (_in_blocks(padded), _in_blocks(padded_counts), np.asarray(-(-rows // BLOCK), np.int32))
-        )
-        position, determined = (np.moveaxis(np.asarray(x), -1, 1).reshape(BLOCKS * BLOCK, -1)[:rows] for x in solved)
-        of_part = result[part]
-        of_part[:, : position.shape[1]] = np.where(determined, position, 0.0)
-        if height is not None:
-            of_part[:, 2] = np.where(determined[:, 0], height, 0.0)
-        of_part[:, 3] = determined[:, 0]
-    return result
-
-
-def _in_blocks(rows: np.ndarray) -> np.ndarray:
-    """The rows (BLOCKS · BLOCK, A) in blocks, rows of a block last (BLOCKS, A, BLOCK)."""
-    return np.ascontiguousarray(np.moveaxis(rows.reshape(BLOCKS, BLOCK, -1), 1, -1))
-
-
-def _solved(known: tuple[Any, Any], measured: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-    """Positions (BLOCKS, n, BLOCK) of the first blocks, and whether they are determined (BLOCKS, 1, BLOCK).
-
-    `known`: anchors and height. `measured`: ranges, which of them count, and the number of blocks.
-    """
-    (anchors, height), (ranges, counts, blocks) = known, measured
+def placed(
+    anchors: Float[Array, "A 3"], height: Scalar | None, ranges: Float[Array, "A W M"], counts: Bool[Array, "A W M"]
+) -> Float[Array, "4 M"]:
+    """Positions of M cases and 1 where determined, from the medians of ranges that count, the latest first; else 0."""
     scale = jnp.asarray(CAUCHY_SCALE, ranges.dtype)
+    medians = nan_median(_latest(jnp.swapaxes(jnp.where(counts, ranges, jnp.nan), 0, 1)))
+    heard = jnp.isfinite(medians)
+    medians = jnp.where(heard, medians, 0.0)
+    fit = jax.vmap(lambda r, c: multilaterate(r, anchors, c, height, scale), -1, -1)(medians, heard)
+    place = list(fit.position) if height is None else [*fit.position, jnp.full_like(medians[0], height)]
+    return jnp.stack([*(jnp.where(fit.determined, x, 0.0) for x in place), fit.determined.astype(scale.dtype)])
 
-    def solve(block: Any, solved: tuple[Any, Any]) -> tuple[Any, Any]:
-        fit = jax.vmap(lambda r, c: multilaterate(r, anchors, c, height, scale), -1, -1)(ranges[block], counts[block])
-        return solved[0].at[block].set(fit.position), solved[1].at[block, 0].set(fit.determined)
 
-    axes = 3 if height is None else 2
-    nothing = jnp.zeros((BLOCKS, axes, BLOCK), ranges.dtype), jnp.zeros((BLOCKS, 1, BLOCK), bool)
-    return jax.lax.fori_loop(0, blocks, solve, nothing)
+def _latest(ranges: Float[Array, "W A M"]) -> Float[Array, "r A M"]:
+    """Of ranges from the latest on the first `MEDIAN_RANGES` that are not NaN."""
+    if len(ranges) <= MEDIAN_RANGES:
+        return ranges
+
+    def older(latest: Array, value: Array) -> tuple[Array, None]:
+        free = jnp.isnan(latest)
+        return jnp.where(free & (jnp.cumsum(free, axis=0) == 1), value, latest), None
+
+    return jax.lax.scan(older, ranges[:MEDIAN_RANGES], ranges[MEDIAN_RANGES:])[0]
+
+
+def _solved(known: tuple[Any, Any], measured: tuple[Any, Any, Any]) -> Any:
+    """Positions (BLOCKS, 4, BLOCK) of the first blocks, as of `placed`.
+
+    `known`: anchors and height. `measured`: ranges, their windows, and the number of blocks.
+    """
+    (anchors, height), (ranges, windows, blocks) = known, measured
+
+    def solve(block: Any, solved: Any) -> Any:
+        of_window = [partial(placed, anchors, height, ranges[block], windows[block] >= least) for least in (2, 1)]
+        near = of_window[0]()
+        whole = jnp.all(near[3] > 0)
+        place = jax.lax.cond(whole, lambda: near, lambda: jnp.where(near[3] > 0, near, of_window[1]()))
+        return solved.at[block].set(place)
+
+    return jax.lax.fori_loop(0, blocks, solve, jnp.zeros((BLOCKS, 4, BLOCK), ranges.dtype))

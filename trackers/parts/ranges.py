@@ -31,8 +31,8 @@ from trackwright.trackers.core.model.sensor import (
 from trackwright.trackers.core.model.state import Heading
 from trackwright.trackers.core.model.tunable import Real, Scale
 from trackwright.trackers.core.run.track_loss import ROOM
-from trackwright.trackers.parts.multilaterate import recent_positions
-from trackwright.trackers.parts.start_nearby import NEARBY
+from trackwright.trackers.parts.multilaterate import RangePlaces, recent_positions, recent_rows
+from trackwright.trackers.parts.start_nearby import NEARBY, last_of_times
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import Trajectories, known_heights, trajectories_of
@@ -220,6 +220,16 @@ def range_inputs(
     """
     nearby = recent_positions(starts, times, anchors, number, readings.values[:, 0], readings.seen[:, 0], heights)
     return {"anchors": anchors[number], "anchor": number[:, None].astype(float), **within_limits(nearby, rig)}
+
+
+def range_places(trajectories: Trajectories, planar: bool) -> RangePlaces:
+    """How the input `nearby` of one tag's rows follows from its ranges; `planar`: at the known height."""
+    rows, folder = trajectories.columns, trajectories.folders[0]
+    anchors, number = anchor_positions(folder), rows.inputs["anchor"][:, 0].astype(int)
+    seen, of_row = rows.readings[RANGES].seen[:, 0], last_of_times(rows.starts, rows.times)[1]
+    recent, windows = recent_rows(rows.starts, rows.times, number, seen, len(anchors))
+    height, slots = float(trajectories.heights[0]) if planar else None, int((windows > 1).sum(axis=2).max())
+    return RangePlaces(recent, windows, of_row, anchors, height, folder.rig.height_limits(), slots)
 
 
 def within_limits(nearby: np.ndarray, rig: Rig) -> dict[str, np.ndarray]:

@@ -1,12 +1,15 @@
-"""Start of position trackers from a position computed on the host from recent bearings or ranges."""
+"""Start of position trackers from a position that follows from recent bearings or ranges."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from trackwright.trackers.core.filters.filter import AbstractStart
 from trackwright.trackers.core.model.algebra import Scalar, Vector, diagonal
@@ -23,6 +26,28 @@ NEARBY = Input(
     "`range_recording`, `bearing_recording`, `recent_points`",
 )
 """The input with the position of a start."""
+
+
+class AbstractPlaces(eqx.Module):
+    """How the input `nearby` follows from the readings of the N rows of a trajectory; rows of one time have the same.
+
+    Called with the readings (N, m, B) of B such trajectories, and where they are `seen`, it gives theirs (N, 4, B).
+    """
+
+    @abstractmethod
+    def __call__(self, values: Float[Array, "N m B"], seen: Bool[Array, "N m B"]) -> Float[Array, "N 4 B"]: ...
+
+
+def last_of_times(
+    starts: Int[np.ndarray, " ends"], times: Float[np.ndarray, " N"]
+) -> tuple[Int[np.ndarray, " K"], Int[np.ndarray, " N"]]:
+    """The last row of each of the K times of tags, and of each row the number of its time.
+
+    `starts` (n + 1,): the first row of each of n tags, then N; `times`: sorted by tag, s.
+    """
+    ends = np.append(np.diff(times) != 0, True)
+    ends[starts[1:] - 1] = True
+    return np.flatnonzero(ends), np.cumsum(ends) - ends
 
 
 class AbstractNearbyStart(AbstractStart):

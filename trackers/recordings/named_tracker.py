@@ -69,7 +69,8 @@ class TrackerSpec:
     `notices(folder, free_height)`: a line for each tag of which the tracker assumes what the folder contradicts.
     `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
     `bearing_only`: it estimates directions, not positions. `every_row`: the tables of which it reads rows that repeat a
-    value, too, since it averages them, counts rows, or estimates each time by itself.
+    value, too, since it averages them, counts rows, or estimates each time by itself. `places(trajectories, planar)`: a
+    function that computes the input `nearby` from readings, as of `AbstractPlaces`, of the rows of one tag.
     """
 
     about: str
@@ -83,6 +84,7 @@ class TrackerSpec:
     automatic: Callable[[RecordingFolder], bool] = lambda folder: True
     bearing_only: bool = False
     every_row: Collection[str] = ()
+    places: Callable[[Trajectories, bool], Any] | None = None
 
     @property
     def reads(self) -> frozenset[str]:

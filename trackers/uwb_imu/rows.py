@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.ranges import anchor_positions, lacks_anchors, range_trajectories
+from trackwright.trackers.parts.ranges import anchor_positions, lacks_anchors, range_places, range_trajectories
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
@@ -65,6 +65,7 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=tracker_of_ranges,
         lacks=lacks_ranges,
         geometry=lambda trajectory: (bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),
+        places=range_places,
     ),
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

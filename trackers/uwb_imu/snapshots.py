@@ -12,6 +12,7 @@ from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS
 from trackwright.trackers.parts.multilaterate import latest_rows
 from trackwright.trackers.parts.ranges import RANGES, anchor_positions, range_rows
+from trackwright.trackers.parts.start_nearby import last_of_times
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.tracks import Trajectories, known_height, known_heights, trajectories_of
@@ -27,11 +28,9 @@ def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Traject
     rows, anchors = folder.rows("ranges"), anchor_positions(folder)
     readings, number = range_rows(folder, rows)
     latest = latest_rows(rows.starts, number, readings.seen[:, 0], len(anchors))
-    # The last row of each time of a tag.
-    last = np.append(np.diff(rows.times) != 0, True)
-    last[rows.starts[1:] - 1] = True
+    last, number_of_time = last_of_times(rows.starts, rows.times)
     times, latest = rows.times[last], latest[last]
-    starts = np.concatenate([[0], np.cumsum(last)[rows.starts[1:] - 1]])
+    starts = np.append(number_of_time[rows.starts[:-1]], len(last))
     age = np.where(latest >= 0, times[:, None] - rows.times[latest], np.inf)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     windows = _snapshot_windows(starts, age, np.where(np.isnan(heights), 4, 3))

@@ -22,7 +22,8 @@ AGV, FEW = {"rows": 60, "mirror": 0.1, "latency": 0.2}, {"rows": 3, "drop_outs":
 PAIRS = [("line", "fix-kf", {**LINE, "situation": "speeds"}), ("station", "das", FEW), ("agv", "median", AGV)]
 LONG = [("line", "fix-kf", LINE), ("station", "beam", STATION),
         ("station", "direct", {**STATION, "lost_station": "2", "masked_antenna": ("1", 3)}),
-        ("station", "cascade", STATION), ("agv", "imm", AGV), ("agv", "mhk", AGV)]  # fmt: skip
+        ("station", "cascade", STATION), ("agv", "imm", AGV), ("agv", "mhk", AGV),
+        ("ranges", "uwb", {"rows": 60, "lost": 0.5}), ("fusion", "bearings", {"rows": 60, "lost": 0.3})]  # fmt: skip
 
 
 def _study(world, tracker, numbers, **config):
@@ -63,7 +64,9 @@ def test_a_tracker_whose_rows_are_no_drawn_numbers_is_told_apart(world, tracker,
     study = _study(world, tracker, {})
     folder = WORLDS[world](np.zeros(1, int), 0)
     with pytest.raises(UnfitError, match=reason):
-        compiled(folder, lambda f: study.trackers[tracker].spec.batches([f], tracker), None, part_of(0, np.arange(N)))
+        compiled(
+            folder, lambda f: study.trackers[tracker].spec.batches([f], tracker), None, None, part_of(0, np.arange(N))
+        )
     assert chunk._program_of(study, study.conditions[0], tracker) is None
 
 
@@ -104,6 +107,7 @@ def test_conditions_that_differ_in_numbers_share_a_program():
 GRADIENTS = [
     pytest.param("line", "fix-kf", "rmse_m", "motion.sigma_a", 1e-4, marks=SLOW),
     pytest.param("agv", "imm", "rmse_3d_m", "sensors.fixes.sigma*", 1e-4, marks=SLOW),
+    pytest.param("ranges", "uwb", "rmse_3d_m", "sensors.ranges.sigma_r", 1e-6, marks=SLOW),
     # Also of the world's noise; the place where a search begins a track has no derivative.
     pytest.param("station", "beam", "rmse_direction_rad", "sensors.*.sigma_p", 2e-3, marks=SLOW),
     pytest.param("station", "direct", "mean_3d_m", "sensors.*.sigma_p", 2e-3, marks=SLOW),
@@ -126,7 +130,7 @@ def test_the_gradient_of_an_expected_error_is_its_difference_quotient(world, tra
 
 @pytest.mark.slow
 def test_an_expected_error_that_has_no_program_is_refused():
-    with pytest.raises(UnusableInput, match="an input depends on the readings; run a study"):
-        tw.expected(tw.simulate.ranges(n=2), "uwb")
+    with pytest.raises(UnusableInput, match="the world has no draw for programs; run a study"):
+        tw.expected(tw.simulate.tdoa(n=2), "tdoa")
     with pytest.raises(UnusableInput, match="rmse_KIND or mean_KIND"):
         tw.expected(tw.simulate.line(n=2, rate_hz=1.0), "fix-kf", "median_m")

@@ -1,12 +1,18 @@
 """Robust least squares on ranges: exact positions, minimum of the loss, outliers, mirror images, too few anchors."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from trackwright.trackers.core.data.recording import Readings, Recording
-from trackwright.trackers.parts.multilaterate import multilaterate
+from trackwright.trackers.parts.multilaterate import (
+    RangePlaces,
+    multilaterate,
+    recent_positions,
+    recent_rows,
+)
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.uwb_imu.trilateration import multilateration_tracker
 
@@ -118,3 +124,52 @@ def test_rows_solved_side_by_side_are_those_solved_one_by_one():
     solve = jax.jit(lambda r, s: multilaterate(r, ANCHORS, s, None, 0.3).position)
     alone = np.array([solve(r, s) for r, s in zip(ranges, seen, strict=True)])
     np.testing.assert_allclose(np.stack([*estimates.mean.position], axis=-1), alone, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def rows_of_ranges():
+    """Two tags' rows at .2 s, each of the six anchors every time; half of them lost, a tenth too long, silent for 2 s."""
+    rng = np.random.default_rng(5)
+    times = np.tile(np.repeat(np.delete(np.arange(60), np.arange(30, 40)) * 0.2, 6), 2)
+    numbers, starts = np.tile(np.arange(6), 100), np.array([0, 300, 600])
+    place = np.stack([np.sin(times), np.cos(0.7 * times), 1.0 + 0.1 * times / 12], axis=1)
+    ranges = np.linalg.norm(place - ANCHORS[numbers], axis=1) + rng.normal(0, 0.05, 600)
+    return starts, times, numbers, ranges + (rng.random(600) < 0.1) * 1.5, rng.random(600) < 0.5
+
+
+@pytest.mark.parametrize("heights", [np.array([np.nan, np.nan]), np.array([1.05, np.nan])], ids=["free", "one known"])
+def test_all_rows_of_a_time_have_the_place_from_the_medians_of_the_last_seconds(rows_of_ranges, heights):
+    starts, times, numbers, ranges, seen = rows_of_ranges
+    found = recent_positions(starts, times, ANCHORS, numbers, ranges, seen, heights)
+    windows_used = set()
+    for row in range(0, 600, 15):
+        tag = int(row >= 300)
+        own = np.arange(600)[300 * tag : 300 * tag + 300]
+        for window in (1.0, 5.0):
+            part = own[(times[own] <= times[row]) & (times[row] - times[own] <= window) & seen[own]]
+            latest = [ranges[part[numbers[part] == k][-5:]] for k in range(6)]
+            heard = np.array([len(x) > 0 for x in latest])
+            medians = np.array([np.median(x) if len(x) else 0.0 for x in latest])
+            height = None if np.isnan(heights[tag]) else heights[tag]
+            fit = jax.jit(multilaterate)(medians, ANCHORS, heard, height, SCALE)
+            if fit.determined:
+                break
+        windows_used.add(window)
+        position = [*fit.position, heights[tag]][:3]
+        expected = [*position, 1.0] if fit.determined else np.zeros(4)
+        np.testing.assert_allclose(found[row], expected, atol=2e-6)
+    assert windows_used == {1.0, 5.0}
+
+
+def test_places_of_several_trajectories_at_once_are_those_of_each(rows_of_ranges):
+    _, times, numbers, ranges, seen = rows_of_ranges
+    one = np.array([0, 300])
+    recent, windows = recent_rows(one, times[:300], numbers[:300], np.ones(300, bool), 6)
+    slots, of_row = int((windows > 1).sum(axis=2).max()), np.repeat(np.arange(50), 6)
+    places = RangePlaces(recent, windows, of_row, ANCHORS, None, np.array([-9.0, 9.0]), slots)
+    together = np.stack(np.split(ranges, 2), axis=-1)[:, None], np.stack(np.split(seen, 2), axis=-1)[:, None]
+    for k, part in enumerate((slice(300), slice(300, 600))):
+        rows = np.flatnonzero(seen[part])
+        of = np.array([0, len(rows)]), times[part][rows], ANCHORS, numbers[part][rows], ranges[part][rows]
+        alone = recent_positions(*of, np.ones(len(rows), bool), np.array([np.nan]))
+        np.testing.assert_allclose(eqx.filter_jit(places)(*together)[rows, :, k], alone, atol=2e-6)
