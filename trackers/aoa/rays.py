@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import combinations_with_replacement
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.model.algebra import Scalar, product, total
 from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.parts.multilaterate import inverse
 from trackwright.trackers.parts.start_nearby import AbstractPlaces, last_of_times
-from trackwright.trackers.recordings.columns import first_not_before
 
 MIN_INFORMATION = 0.02
 """Smallest eigenvalue of the information matrix, per ray (0 … ⅔), at which a point is determined."""
@@ -53,11 +53,11 @@ def nearest_to_rays(
 
 
 class RayPlaces(AbstractPlaces):
-    """The points nearest to the rays of the last second, for N rows of bearings, one a row.
+    """The points nearest to the rays of the last second, for N rows of bearings of one tag, one a row.
 
     `first` and `last` (N,): the rows whose rays count, up to the last one of a row's time. `earlier` (N,): the number
     of rows at least `PATIENCE_S` earlier. `origins` (N, 3) m and `axes` (N, 9): of each row's station. `height`: m,
-    None where unknown.
+    None where unknown; with a known one a ray can be enough.
     """
 
     first: Int[Any, " N"]
@@ -74,41 +74,36 @@ class RayPlaces(AbstractPlaces):
         first, earlier = np.searchsorted(times, times - WINDOW_S), np.searchsorted(times, times - PATIENCE_S, "right")
         return cls(first, ends[of_row], earlier, origins, axes, height)
 
-    def __call__(self, values: Float[Array, "N 2 B"], seen: Bool[Array, "N 2 B"]) -> Float[Array, "N 4 B"]:
-        heard = jnp.any(seen, axis=1).astype(values.dtype)
-        rays = _projections(jnp, values[:, 0], values[:, 1], seen[:, 0], seen[:, 1], self.origins, self.axes)
+    def __call__(self, values: Float[Any, "N 2 B"], seen: Bool[Any, "N 2 B"]) -> Float[Any, "N 4 B"]:
+        """An azimuth alone counts as the plane through the array's y axis that it tells."""
+        xp = jnp if isinstance(values, jax.Array) else np
+        rays = _projections(xp, values[:, 0], values[:, 1], seen[:, 0], seen[:, 1], self.origins, self.axes)
+        sums = xp.stack([*rays, xp.where(seen.any(axis=1), 1.0, 0.0 * rays[0])], axis=1)
         # Step by step: a cumulative sum of jax takes several times as long as the filter.
-        sums = jnp.stack([*rays, heard], axis=1)
-        sums = jax.lax.scan(lambda above, row: (above + row,) * 2, jnp.zeros_like(sums[0]), sums)[1]
-        sums = jnp.concatenate([jnp.zeros_like(sums[:1]), sums])
+        scanned = partial(jax.lax.scan, lambda above, row: (above + row,) * 2, xp.zeros_like(sums[0]))
+        sums = xp.concatenate([xp.zeros_like(sums[:1]), np.cumsum(sums, axis=0) if xp is np else scanned(sums)[1]])
         now, before, count = sums[self.last + 1], sums[self.first], sums[:, -1]
-        *place, determined = _nearest_points(jnp, [*jnp.moveaxis(now - before, 1, 0)[:-1]], self.height)
-        determined &= (count[self.last + 1] >= MIN_RAYS) | (count[self.earlier] > 0)
-        return jnp.stack([jnp.where(determined, x, 0.0) for x in (*place, determined)], axis=1)
+        *place, determined = _nearest_points(xp, [*xp.moveaxis(now - before, 1, 0)[:-1]], self.height)
+        determined = determined & ((count[self.last + 1] >= MIN_RAYS) | (count[self.earlier] > 0))
+        return xp.stack([xp.where(determined, x, 0.0) for x in (*place, determined)], axis=1)
 
 
 def recent_points(
     starts: np.ndarray, times: np.ndarray, origins: np.ndarray, axes: np.ndarray, angles: np.ndarray, seen: np.ndarray,
     heights: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """For every row (T, 4): the point nearest to the rays of the last second, m, and 1 where they determine it.
+    """For every row (T, 4): the point of `RayPlaces`, m, and 1 where the rays determine it.
 
     `starts` (n + 1,): the first row of each of n tags, then T. `times` (T,) s, sorted by tag; `origins` (T, 3) m and
-    `axes` (T, 9): of each row's station; `angles` (T, 2) rad and `seen` (T, 2): an azimuth alone counts as the plane
-    through the array's y axis that it tells. `heights` (n,) m: NaN where unknown; with a known one a ray can be enough.
-    All rows of a time have its point.
+    `axes` (T, 9): of each row's station; `angles` (T, 2) rad and `seen` (T, 2). `heights` (n,) m: NaN where unknown.
     """
-    last, of_row = last_of_times(starts, times)
-    begin, row_heights = np.repeat(starts[:-1], np.diff(starts))[last], np.repeat(heights, np.diff(starts))[last]
-    first = first_not_before(times, begin, last, times[last] - WINDOW_S)
-    rays = _projections(np, angles[:, 0], angles[:, 1], seen[:, 0], seen[:, 1], origins, axes)
-    windowed = np.stack([_windowed(x, starts, first, last) for x in rays])
-    points = np.zeros((len(last), 4))
-    for known in (True, False):
-        rows = np.flatnonzero(np.isfinite(row_heights) == known)
-        *place, determined = _nearest_points(np, [*windowed[:, rows]], row_heights[rows] if known else None)
-        points[rows] = np.stack([np.where(determined, x, 0.0) for x in (*place, determined)], axis=1)
-    return points[of_row]
+    points = [np.zeros((0, 4))]
+    for first, end, height in zip(starts[:-1], starts[1:], heights.tolist(), strict=True):
+        of, known = slice(first, end), None if np.isnan(height) else height
+        points.append(
+            RayPlaces.of(times[of], origins[of], axes[of], known)(angles[of, :, None], seen[of, :, None])[..., 0]
+        )
+    return np.concatenate(points)
 
 
 def _projections(
@@ -145,14 +140,3 @@ def _nearest_points(xp: Any, sums: list[Any], height: Any) -> tuple[Any, Any, An
     safe = [[xp.where(determined, e, float(i == j)) for j, e in enumerate(row)] for i, row in enumerate(matrix)]
     place = [total(a * b for a, b in zip(row, right, strict=True)) for row in inverse(safe)]
     return *(place if height is None else [*place, height + 0.0 * x]), determined
-
-
-def _windowed(values: np.ndarray, starts: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """The sums of the rows first[k] … last[k] of one tag, as differences of cumulative sums over the tag's rows."""
-    lengths = np.diff(starts)
-    tag = np.repeat(np.arange(len(lengths)), lengths)
-    sums = np.zeros((len(lengths), int(lengths.max()) + 1))
-    sums[tag, np.arange(len(values)) - starts[:-1][tag] + 1] = values
-    np.cumsum(sums, axis=1, out=sums)
-    of, begin = tag[last], starts[:-1][tag[last]]
-    return sums[of, last - begin + 1] - sums[of, first - begin]

@@ -12,12 +12,11 @@ from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import BEARINGS, CALIBRATED, CALIBRATION, bearing_inputs, bearing_tracker
 from trackwright.trackers.aoa.mapped_bearings import mapped_bearing_tracker
-from trackwright.trackers.aoa.rays import MIN_RAYS, PATIENCE_S, RayPlaces, recent_points
+from trackwright.trackers.aoa.rays import RayPlaces, recent_points
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.rig import Station, room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.core.run.tracker import AbstractTracker
-from trackwright.trackers.parts.start_nearby import last_of_times
 from trackwright.trackers.recordings.calibration import floor_grid
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -55,11 +54,8 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
     if folder.calibration is not None:
         inputs["calibration"], directions, added = folder.calibration.of_bearings(list(stations), number, values)
         reported[:, ::2] += added
-    nearby = recent_points(rows.starts, rows.times, origin, axes, directions, seen, heights)
-    begin, (last, of_row) = np.repeat(rows.starts[:-1], np.diff(rows.starts)), last_of_times(rows.starts, rows.times)
-    early = (last[of_row] - begin < MIN_RAYS - 1) & (rows.times - rows.times[begin] < PATIENCE_S)
     inputs[ROOM.name] = room_rows(np.stack([s.position for s in stations.values()]), folder.rig.outline, len(values))
-    inputs["nearby"] = np.where(early[:, None], 0.0, nearby)
+    inputs["nearby"] = recent_points(rows.starts, rows.times, origin, axes, directions, seen, heights)
     readings = {BEARINGS: Readings(values, seen, reported)}
     return trajectories_of(folder, rows.tags, rows.starts, rows.times, readings, inputs)
 

@@ -241,21 +241,6 @@ def recent_positions(
     return result[of_row]
 
 
-def latest_rows(starts: np.ndarray, numbers: np.ndarray, seen: np.ndarray, count: int) -> np.ndarray:
-    """For each row, the latest row (N, A) so far of the same tag with a range to each of A anchors; −1 if none.
-
-    `starts` (n + 1,): the first row of each tag, then N. `numbers` (N,): the anchor of each row. Later rows at the same
-    time do not count.
-    """
-    rows = np.arange(len(numbers))
-    first = np.repeat(starts[:-1], np.diff(starts))
-    latest_of_each = np.empty((len(numbers), count), int)
-    for anchor in range(count):
-        latest = np.maximum.accumulate(np.where(seen & (numbers == anchor), rows, -1))
-        latest_of_each[:, anchor] = np.where(latest >= first, latest, -1)
-    return latest_of_each
-
-
 def recent_rows(
     starts: np.ndarray, times: np.ndarray, numbers: np.ndarray, seen: np.ndarray, count: int, most: int | None = None
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.inputs import HEIGHT_LIMITS
-from trackwright.trackers.parts.multilaterate import latest_rows
+from trackwright.trackers.parts.multilaterate import recent_rows
 from trackwright.trackers.parts.ranges import RANGES, anchor_positions, range_rows
 from trackwright.trackers.parts.start_nearby import last_of_times
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -27,11 +27,12 @@ def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Traject
     """Each tag's ranges, one row per time, with the latest range of every anchor in a slot of its own."""
     rows, anchors = folder.rows("ranges"), anchor_positions(folder)
     readings, number = range_rows(folder, rows)
-    latest = latest_rows(rows.starts, number, readings.seen[:, 0], len(anchors))
     last, number_of_time = last_of_times(rows.starts, rows.times)
-    times, latest = rows.times[last], latest[last]
-    starts = np.append(number_of_time[rows.starts[:-1]], len(last))
-    age = np.where(latest >= 0, times[:, None] - rows.times[latest], np.inf)
+    latest, windows = (
+        x[..., 0] for x in recent_rows(rows.starts, rows.times, number, readings.seen[:, 0], len(anchors), most=1)
+    )
+    times, starts = rows.times[last], np.append(number_of_time[rows.starts[:-1]], len(last))
+    age = np.where(windows > 0, times[:, None] - rows.times[latest], np.inf)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     windows = _snapshot_windows(starts, age, np.where(np.isnan(heights), 4, 3))
     fresh = age <= np.repeat(windows, np.diff(starts))[:, None]

@@ -46,5 +46,6 @@ def test_azimuths_alone_start_at_the_intersection_of_their_planes_at_a_known_hei
     axes = np.stack([s.world_from_array().T.ravel() for s in STATIONS.values()])
     origins = np.stack([s.position for s in STATIONS.values()])
     angles = np.stack([s.angles(place) for s in STATIONS.values()]) * seen
-    found = recent_points(np.array([0, 3]), np.zeros(3), origins, axes, angles, seen, np.array([1.0]))
-    np.testing.assert_allclose(found[2], [*place, 1.0], atol=1e-6)
+    twice = (np.tile(x, (2, 1)) for x in (origins, axes, angles, seen))
+    found = recent_points(np.array([0, 6]), np.zeros(6), *twice, np.array([1.0]))
+    np.testing.assert_allclose(found, np.tile([*place, 1.0], (6, 1)), atol=1e-6)

@@ -11,7 +11,7 @@ from trackwright.sim.stations import PhaseDraw, facing, work_station
 from trackwright.trackers.aoa.cascade import cascade_tracker
 from trackwright.trackers.aoa.direct import direct_tracker
 from trackwright.trackers.aoa.fusion import bearing_inputs
-from trackwright.trackers.aoa.rays import nearest_to_rays, recent_points
+from trackwright.trackers.aoa.rays import MIN_RAYS, PATIENCE_S, nearest_to_rays, recent_points
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Readings, Recording, stack
 from trackwright.trackers.core.model.rig import Station
@@ -131,6 +131,7 @@ def test_points_are_the_least_squares_of_the_rays_of_the_last_second(height):
     points = _points(times, origins, axes, angles, seen, height)
     directions = _directions(angles, turn)
     several = np.array([len(set(turn[(times >= t - 1) & (times <= t) & seen])) > 1 for t in times])
+    several &= (np.cumsum(seen) >= MIN_RAYS) | (times >= times[seen][0] + PATIENCE_S)
     assert (points[several, 3] == 1).all()
     free = np.eye(3)[: 3 if height is None else 2]
     for k in np.flatnonzero(several)[::7]:
@@ -153,10 +154,10 @@ def test_exact_rays_intersect_at_the_position():
 
 
 def _two_rays(first, second, height=None, seen=(True, True), gap=0.5):
-    """The last row of two bearings from the first station; angles of each in rad."""
-    where = np.array([bearing_inputs(STATIONS[0])] * 2)
-    times, angles = np.array([0.0, gap]), np.array([first, second])
-    return _points(times, where[:, :3], where[:, 3:], angles, np.array(seen), height)[-1]
+    """The last row of two bearings, each heard twice, from the first station; angles of each in rad."""
+    where = np.array([bearing_inputs(STATIONS[0])] * 4)
+    times, angles, seen = (np.repeat(x, 2, axis=0) for x in ([0.0, gap], [first, second], seen))
+    return _points(times, where[:, :3], where[:, 3:], angles, seen, height)[-1]
 
 
 @pytest.mark.parametrize(
