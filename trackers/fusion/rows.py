@@ -15,8 +15,9 @@ from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.model.rig import room_rows
 from trackwright.trackers.core.run.track_loss import ROOM
 from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
-from trackwright.trackers.fusion.tracker import fused_tracker, joint_positions
+from trackwright.trackers.fusion.tracker import fused_tracker
 from trackwright.trackers.parts.fixes import FIXES, fix_trajectories, lacks_fixes
+from trackwright.trackers.parts.joint_positions import joint_positions
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.parts.start_nearby import NEARBY
 from trackwright.trackers.recordings.folder import RecordingFolder

@@ -12,14 +12,13 @@ from jaxtyping import Bool, Float, Int
 
 from trackwright.trackers.core.data.recording import Readings
 from trackwright.trackers.core.run.tracker import Tracker
-from trackwright.trackers.parts.multilaterate import WINDOWS_S
+from trackwright.trackers.parts.joint_positions import joint_positions
 from trackwright.trackers.parts.ranges import anchor_positions, lacks_anchors, room_of_anchors, within_limits
 from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.tracks import Trajectories, Trajectory, known_heights, trajectories_of
 from trackwright.trackers.uwb_imu.fusion import TDOA, difference_tracker
-from trackwright.trackers.uwb_imu.hyperbolic import Differences, hyperbolic_positions
 from trackwright.trackers.uwb_imu.rows import bias_slots
 
 MOST_SLOTS = 16
@@ -36,16 +35,6 @@ The rest is its own, as of rounding: differences that close a loop exactly would
 
 BEYOND = 1.0
 """Length, m, by which a difference may exceed the distance of its anchors, its largest value; others are no reading."""
-
-RECENT = 32
-"""Differences from which a position for a start is computed, the latest of the last seconds."""
-
-SPACING_S, SOON_S, LATER_S = 0.2, 5.0, 1.0
-"""Time, s, between positions for a start, how long after the first row, and the time between later ones, for tracks
-that were lost."""
-
-BLOCK = 4096
-"""Positions computed at once."""
 
 
 def difference_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
@@ -72,10 +61,11 @@ def difference_trajectories(folder: RecordingFolder, free_height: bool) -> Traje
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     reported = np.concatenate([variances[..., 0], correlations(number, seen[..., 0])], axis=1)
     readings = Readings(values[..., 0], seen[..., 0], reported)
+    nearby = joint_positions(folder, [TDOA], rows.tags, starts, times, heights, np.zeros((count, 4)))
     inputs = {
         "pairs": anchors[number].reshape(count, -1),
         "pair": number.reshape(count, -1).astype(float),
-        **within_limits(recent_hyperbolic_positions(starts, times, readings, number, anchors, heights), folder.rig),
+        **within_limits(nearby, folder.rig),
         **room_of_anchors(folder, count),
     }
     return trajectories_of(folder, rows.tags, starts, times, {TDOA: readings}, inputs)
@@ -113,50 +103,6 @@ def correlations(number: Int[np.ndarray, "M S 2"], seen: Bool[np.ndarray, "M S"]
         opposite = (first[:, i] == second[:, j]) * 1.0 + (second[:, i] == first[:, j])
         result[:, column] = 0.5 * SHARED * (alike - opposite) * (seen[:, i] & seen[:, j])
     return result
-
-
-def recent_hyperbolic_positions(
-    starts: Int[np.ndarray, " ends"], times: Float[np.ndarray, " M"], readings: Readings,
-    number: Int[np.ndarray, "M S 2"], anchors: Float[np.ndarray, "A 3"], heights: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "M 4"]:  # fmt: skip
-    """The position from the latest differences, m, and 1 where determined, at `start_rows`; the others are zero.
-
-    `starts` (n + 1,): the first row of each of n tags, then M. `number`: of the anchors of each difference in
-    `anchors`. `heights` m: of the tags, NaN where unknown. The second of `WINDOWS_S` is used where the differences of
-    the first do not determine the position.
-    """
-    result = np.zeros((len(times), 4))
-    tag = np.repeat(np.arange(len(heights)), np.diff(starts))
-    row, slot = np.nonzero(readings.seen)
-    if not len(row):
-        return result
-    # Of each row, the differences up to its last.
-    until, since = np.searchsorted(row, np.arange(len(times)), "right"), np.searchsorted(row, starts[tag])
-    begins = start_rows(starts, times)
-    for window in WINDOWS_S:
-        for known in (True, False):
-            wanted = np.flatnonzero(begins & (result[:, 3] == 0) & (np.isfinite(heights[tag]) == known))
-            for begin in range(0, len(wanted), BLOCK):
-                part = wanted[begin : begin + BLOCK]
-                recent = until[part, None] - 1 - np.arange(RECENT)
-                counts, recent = recent >= since[part, None], np.maximum(recent, 0)
-                counts = counts & (times[part, None] - times[row[recent]] <= window)
-                of_each = row[recent], slot[recent]
-                given = Differences(
-                    readings.values[of_each], counts, number[(*of_each, 0)], number[(*of_each, 1)], anchors
-                )
-                place, determined = hyperbolic_positions(given, heights[tag[part]])
-                result[part] = np.where(determined[:, None], np.column_stack([place, np.ones(len(part))]), 0.0)
-    return result
-
-
-def start_rows(starts: Int[np.ndarray, " ends"], times: Float[np.ndarray, " M"]) -> Bool[np.ndarray, " M"]:
-    """The rows where a start is sought: the first of every `SPACING_S`, and from `SOON_S` on of every `LATER_S`."""
-    tag = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-    elapsed = times - times[starts[tag]]
-    later = SOON_S / SPACING_S + (elapsed - SOON_S) / LATER_S
-    period = np.floor(np.where(elapsed < SOON_S, elapsed / SPACING_S, later))
-    return np.append(True, (np.diff(period) != 0) | (np.diff(tag) != 0))
 
 
 def lacks_differences(folder: RecordingFolder) -> str | None:
