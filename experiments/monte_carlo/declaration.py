@@ -8,9 +8,10 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from pydantic import GetPydanticSchema, StrictBool, StrictFloat, StrictStr
 
 from trackwright.experiments.monte_carlo.tracked import TrackedRuns
 from trackwright.experiments.text.expectations import Claim
@@ -41,15 +42,18 @@ class World:
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """A tracker of a study: its name in the catalogue, `FILE.py:NAME`, or its specification; and its settings.
-    `tunables`: values by name or pattern, in physical units. `smooth`: RTS smoothing over the whole recording.
-    `free_height`: as the option of `track`. `every`: s, score only the last estimate of each such interval."""
+    """A tracker of a study: its name in the catalogue, `FILE.py:NAME`, or its specification; and its settings. In TOML
+    the name of its table is the default. `tunables`: values by name or pattern, in physical units. `smooth`: RTS
+    smoothing over the whole recording. `free_height`: as the option of `track`. `every`: s, score only the last
+    estimate of each such interval."""
 
-    tracker: str | TrackerSpec
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+
+    tracker: Annotated[str | TrackerSpec, GetPydanticSchema(lambda _, schema: schema(StrictStr))] = ""
     tunables: Mapping[str, Any] = field(default_factory=dict)
-    smooth: bool = False
-    free_height: bool = False
-    every: float | None = None
+    smooth: StrictBool = False
+    free_height: StrictBool = False
+    every: StrictFloat | None = None
 
     @cached_property
     def spec(self) -> TrackerSpec:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pydantic import StrictBool, StrictFloat, StrictInt, StrictStr
+from pydantic import StrictInt, StrictStr
 
 from trackwright.experiments.monte_carlo.declaration import DEFAULT_METRICS, Study, TrackerConfig, World, checked
 from trackwright.sim.worlds import WORLDS
@@ -19,19 +19,6 @@ from trackwright.trackers.core.on_demand import from_file
 from trackwright.trackers.recordings.files import read_model
 
 PAPERS = "trackwright.experiments.lab.papers"  # in whose folders studies are looked for by name
-
-
-@dataclass(frozen=True)
-class TrackerTable:
-    """A tracker of a study in TOML, as `TrackerConfig`; by default the name of the table is the tracker's."""
-
-    __pydantic_config__: ClassVar = {"extra": "forbid"}
-
-    tracker: StrictStr | None = None
-    tunables: dict[str, Any] = field(default_factory=dict)
-    smooth: StrictBool = False
-    free_height: StrictBool = False
-    every: StrictFloat | None = None
 
 
 @dataclass(frozen=True)
@@ -46,7 +33,7 @@ class StudyFile:
     seed: StrictInt = 0
     metrics: list[Any] = field(default_factory=lambda: [*DEFAULT_METRICS])
     worlds: dict[str, dict[str, Any]] = field(default_factory=dict)
-    trackers: dict[str, TrackerTable] = field(default_factory=dict)
+    trackers: dict[str, TrackerConfig] = field(default_factory=dict)
     grid: dict[str, list[Any]] = field(default_factory=dict)
 
 
@@ -91,10 +78,7 @@ def _declared(what: str) -> Study:
 
 def _from_toml(path: Path) -> Study:
     content = read_model(path, StudyFile, f"the keys {listed((x.name for x in dataclasses.fields(StudyFile)), 9)}")
-    trackers = {
-        name: TrackerConfig(**{**vars(table), "tracker": table.tracker or name})
-        for name, table in content.trackers.items()
-    }
+    trackers = {k: dataclasses.replace(x, tracker=x.tracker or k) for k, x in content.trackers.items()}
     worlds = {name: _world(f"{path}: worlds.{name}", name, table) for name, table in content.worlds.items()}
     changed = {"name": content.name or path.stem, "worlds": worlds, "trackers": trackers}
     return Study(**{**vars(content), **changed, "source": path.read_text("utf-8-sig")})
