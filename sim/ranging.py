@@ -69,7 +69,7 @@ def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
 
 def distances_to(rig: Rig, positions: Float[Any, "*rows 3"]) -> Float[Any, "*rows A"]:
     """The distances (..., A) of positions (..., 3), m, from the rig's anchors."""
-    anchors = np.stack(list(rig.anchors.values()))
+    anchors = namespace(*rig.anchors.values()).stack([*rig.anchors.values()])
     x, y, z = (positions[..., None, axis] - anchors[:, axis] for axis in range(3))
     distances: Ranges = namespace(x).sqrt(x * x + y * y + z * z)
     return distances

@@ -35,6 +35,8 @@ from trackwright.trackers.core.model.tunable import with_values
 from trackwright.trackers.core.programs import Program, compiled_program, kept_program, types_of
 from trackwright.trackers.core.run.chunks import OPTIONS, as_dtype
 from trackwright.trackers.core.run.tracker import AbstractTracker
+from trackwright.trackers.parts.multilaterate import RangePlaces
+from trackwright.trackers.parts.ranges import ANCHORS
 from trackwright.trackers.parts.start_nearby import NEARBY, AbstractPlaces
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectories
@@ -264,13 +266,15 @@ def compiled(
 
 
 def expected(
-    world: SimulatedWorld, tracker: str, metric: str = "rmse_m", values: Mapping[str, Any] = MappingProxyType({})
-) -> Any:
+    world: SimulatedWorld, tracker: str, metric: str = "rmse_m", values: Mapping[str, Any] = MappingProxyType({}),
+    anchors: Any = None,
+) -> Any:  # fmt: skip
     """The expected RMSE or mean size of a tracker's errors on a world, to differentiate by the numbers of both.
 
     `world`: of `tw.simulate`, whose levels may be traced; the expectation is over its trajectories, which have the same
     random numbers in every call. `tracker`: of the catalogue, with these `values` of its tunables by name or pattern,
-    which may be traced. `metric`: `rmse_` or `mean_` and a kind of error, as in `rmse_3d_m`. Whether a reading is an
+    which may be traced. `metric`: `rmse_` or `mean_` and a kind of error, as in `rmse_3d_m`. `anchors` (A, 3) m, in the
+    order of their ids: places of a world of ranges and of its rig instead of the rig's own. Whether a reading is an
     outlier or lost, where a track begins, and how far bearings bend has no derivative. Raises UnusableInput for another
     metric, and for a tracker whose rows are no drawn numbers, as of range differences.
     """
@@ -282,18 +286,31 @@ def expected(
         return [replace(b, tracker=with_values(b.tracker, values, f"tracker '{tracker}'")) for b in found]
 
     try:
-        understood = _understood(plain, world.name, batches, spec.places, None)
+        model = world.draw, *_understood(plain, world.name, batches, spec.places, None)
     except UnfitError as error:
         raise UnusableInput(f"expected: tracker '{tracker}' on {world.name}: {error}; run a study") from error
     # Not known to the compiler, which would draw constants.
     part = jax.tree_util.tree_map(jax.lax.optimization_barrier, part_of(world.seed, world.ids))
-    model = as_dtype((world.draw, *understood), jax.dtypes.canonicalize_dtype(float))
+    model = as_dtype(model if anchors is None else _moved(*model, anchors), jax.dtypes.canonicalize_dtype(float))
     sums, (what, _, kind) = chunk_scores(model, part).sums, metric.partition("_")
     if what not in ("rmse", "mean") or f"n {kind}" not in sums:
         kinds = ", ".join(name[2:] for name in sums if name.startswith("n ") and f"squares {name[2:]}" in sums)
         raise UnusableInput(f"expected: metric '{metric}'; expected rmse_KIND or mean_KIND with one of {kinds}")
     n = sums[f"n {kind}"].sum()
     return jnp.sqrt(sums[f"squares {kind}"].sum() / n) if what == "rmse" else sums[f"sum {kind}"].sum() / n
+
+
+def _moved(draw: Any, tracker: Any, rows: Rows, anchors: Any) -> tuple[Any, Any, Rows]:
+    """A model of ranges whose anchors are at other places (A, 3), m, which may be traced."""
+    nearby, own = rows.nearby, draw.rig.anchors if hasattr(draw, "rig") else {}
+    if not isinstance(nearby, RangePlaces) or np.shape(anchors) != (len(own), 3):
+        fix = f"expected ({len(own)}, 3), m, and a world and a tracker of ranges alone"
+        raise UnusableInput(f"expected: anchors have shape {np.shape(anchors)}; {fix}")
+    places, number = jnp.asarray(anchors), rows.inputs["anchor"][..., 0].astype(int)
+    of_names = dict(zip(sorted(own), places, strict=True))
+    rig = replace(draw.rig, anchors={name: of_names[name] for name in own})
+    inputs = {**rows.inputs, ANCHORS.name: places[number]}
+    return replace(draw, rig=rig), tracker, replace(rows, inputs=inputs, nearby=replace(nearby, anchors=places))
 
 
 def _any_number(level: Any) -> Any:

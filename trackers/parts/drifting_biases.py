@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,7 +18,7 @@ from trackwright.trackers.core.model.rig import mirrored
 from trackwright.trackers.core.model.sensor import Row
 from trackwright.trackers.core.model.state import component_names
 from trackwright.trackers.core.model.tunable import Scale
-from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
+from trackwright.trackers.parts.start_nearby import NEARBY, AbstractNearbyStart
 
 
 class BiasedState(NamedTuple):
@@ -145,8 +146,9 @@ class BiasedStart(AbstractNearbyStart):
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
-        zero = candidate[0] * 0.0
-        position = Vector(*(candidate[k] for k in range(n)))
+        zero, nearby = candidate[0] * 0.0, row.inputs[NEARBY.name]
+        # The candidate, which may be another place, carries no derivative.
+        position = Vector(*(candidate[k] + (nearby[k] - jax.lax.stop_gradient(nearby[k])) for k in range(n)))
         shared = [] if self.sigma_shared is None else [self.sigma_shared.value**2]
         state = BiasedState(position, Vector(*[zero] * n), Vector(*[zero] * self.biases), Vector(*[zero] * len(shared)))
         in_place, moving = self.sigma_position.value**2, self.sigma_velocity.value**2

@@ -181,10 +181,12 @@ class RangePlaces(AbstractPlaces):
         (times, *_), lanes = self.rows.shape, values.shape[2]
         all_rows, all_windows = jnp.asarray(self.rows), jnp.asarray(self.windows)
 
-        def at(values: Array, rows: Int[Array, "A w g"], windows: Int[Array, "A w g"], least: int) -> Array:
+        def at(
+            anchors: Any, values: Array, rows: Int[Array, "A w g"], windows: Int[Array, "A w g"], least: int
+        ) -> Array:
             shape = (*rows.shape[:2], -1)
             counts = (seen[rows, 0] & (windows >= least)[..., None]).reshape(shape)
-            return placed(self.anchors, self.height, values[rows, 0].reshape(shape), counts)
+            return placed(anchors, self.height, values[rows, 0].reshape(shape), counts)
 
         # So many times together that they fill a block.
         together = max(1, BLOCK // lanes)
@@ -195,13 +197,14 @@ class RangePlaces(AbstractPlaces):
             return jnp.moveaxis(whole.reshape(blocks, together, *whole.shape[1:]), 1, -1)
 
         blocked = in_blocks(all_rows), in_blocks(all_windows)
-        near = jax.lax.map(lambda block: at(values, block[0], block[1], 2), blocked)
+        near = jax.lax.map(lambda block: at(self.anchors, values, block[0], block[1], 2), blocked)
         near = jnp.swapaxes(near.reshape(blocks, 4, together, lanes), 1, 2).reshape(-1, 4, lanes)[:times]
 
         def further(places: tuple[Array, Array]) -> tuple[Array, Array]:
             far, wanted = places
             k = jnp.argmax(wanted)
-            place = at(jax.lax.stop_gradient(values), all_rows[k][..., None], all_windows[k][..., None], 1)
+            known = jax.lax.stop_gradient((self.anchors, values))
+            place = at(*known, all_rows[k][..., None], all_windows[k][..., None], 1)
             return far.at[k].set(place), wanted.at[k].set(False)
 
         # Time after time where one is wanted, which is hardly ever.

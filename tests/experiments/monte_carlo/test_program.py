@@ -129,6 +129,20 @@ def test_the_gradient_of_an_expected_error_is_its_difference_quotient(world, tra
 
 
 @pytest.mark.slow
+def test_the_gradient_by_the_places_of_anchors_is_their_difference_quotient():
+    world = tw.simulate.ranges(n=4, seed=3, rows=40)
+    places, step = np.stack([world.draw.rig.anchors[name] for name in sorted(world.draw.rig.anchors)]), 1e-5
+    error = jax.jit(lambda anchors: tw.expected(world, "uwb", "rmse_3d_m", anchors=anchors))
+    slopes = jax.jit(jax.grad(error))(places)
+    assert error(places) == pytest.approx(tw.expected(world, "uwb", "rmse_3d_m"), rel=1e-9)
+    for entry in ((0, 0), (1, 2), (3, 1)):
+        by = step * (np.arange(12) == np.ravel_multi_index(entry, (4, 3))).reshape(4, 3)
+        assert slopes[entry] == pytest.approx(float(error(places + by) - error(places - by)) / (2 * step), rel=1e-5)
+    with pytest.raises(UnusableInput, match=r"anchors have shape \(2, 3\); expected \(4, 3\), m"):
+        error(places[:2])
+
+
+@pytest.mark.slow
 def test_an_expected_error_that_has_no_program_is_refused():
     with pytest.raises(UnusableInput, match="the world has no draw for programs; run a study"):
         tw.expected(tw.simulate.tdoa(n=2), "tdoa")
