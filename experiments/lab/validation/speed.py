@@ -145,7 +145,7 @@ READ_BY: dict[str, tuple[str, ...]] = {
     "line": ("fix-kf", "imm", "line-grid", "line-pf", "mhk"),
     "ranges": ("uwb", "multilateration"),
     "tdoa": ("tdoa",),
-    "fusion": ("fusion",),
+    "fusion": ("fusion", "bearings"),
     "tool": ("uwb-imu",),
     "agv": ("fix-kf", "fix-singer", "fix-mirror"),
 }
