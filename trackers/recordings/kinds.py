@@ -42,8 +42,8 @@ class Sensors(NamedTuple):
 
     def distances(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N k"]:
         """Distances of positions, m, from the sensors of each reading."""
-        away = positions[:, None] - self.places[self.number]
-        return np.sqrt(np.einsum("nkd,nkd->nk", away, away))
+        x, y, z = (positions.T[..., None] - self.places.T.take(self.number, axis=1)) ** 2
+        return np.sqrt(x + y + z)
 
     def in_array(self, positions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3 N"]:
         """Coordinates of positions, m, in the array frame of each reading's first sensor."""
