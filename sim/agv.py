@@ -54,9 +54,8 @@ class Route:
         begin = corner + self.radius * np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
         side = np.array([self.width, self.depth, self.width, self.depth])[quarter] - 2 * self.radius
         side[0] /= 2
-        of_parts = np.stack(
-            [np.concatenate([[0.0], ends[:-1]]), side, heading, turns, *begin.T, *direction.T, *corner.T]
-        )
+        starts = np.concatenate([[0.0], ends[:-1]])
+        of_parts = np.stack([starts, side, heading, turns, *begin.T, *direction.T, *corner.T])
         # A product with zeros and a one: in a program a look-up takes several times as long as the filter.
         at = (part == parts.reshape(-1, *[1] * s.ndim)).astype(s.dtype)
         start, side, heading, turning, *points = xp.tensordot(of_parts.astype(s.dtype), at, 1)

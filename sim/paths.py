@@ -7,7 +7,7 @@ A path is a function of keys (n,) and times (T,) in seconds, which rise but need
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache, partial
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -29,6 +29,10 @@ WORK_VOLUME = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 0.3]])
 _HARMONICS = 32
 _SQUASH = 0.8
 """tanh(0.8 x) of a standard normal x is close to uniform on (-1, 1), so that hand motion fills the volume."""
+
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(60)
+_SLOPE = float(np.sqrt(np.average((_SQUASH / np.cosh(_SQUASH * _NODES) ** 2) ** 2, weights=_WEIGHTS)))
+"""Root mean square derivative of tanh(0.8 x) for a standard normal x, by Gauss–Hermite quadrature."""
 
 
 def helix(
@@ -58,9 +62,8 @@ def hand_motion(keys: Keys, times: Times, volume: Volume = WORK_VOLUME, *, speed
     lower, upper = np.asarray(volume, float)
     half = (upper - lower) / 2
     fractions = (np.arange(_HARMONICS) + 0.5) / _HARMONICS
-    omega_rms = speed / (_rms_slope() * np.linalg.norm(half))
+    omega_rms = speed / (_SLOPE * np.linalg.norm(half))
     omega = omega_rms * fractions / np.sqrt(np.mean(fractions**2))
-
     t = np.asarray(times, float)
     waves = np.concatenate([np.cos(t[:, None] * omega), np.sin(t[:, None] * omega)], axis=1)
     weights = normals(stream(keys, "hand motion"), (2 * _HARMONICS, 3)).astype(float) / np.sqrt(_HARMONICS)
@@ -78,11 +81,3 @@ WALK: PathFunction = partial(hand_motion, volume=WALK_VOLUME, speed=0.5)
 
 PATHS: Mapping[str, PathFunction] = MappingProxyType({"helix": helix, "hand": hand_motion})
 """Paths in the work volume by name."""
-
-
-@cache
-def _rms_slope() -> float:
-    """Root mean square derivative of tanh(_SQUASH x) for a standard normal x, by Gauss-Hermite quadrature."""
-    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
-    slopes = _SQUASH / np.cosh(_SQUASH * nodes) ** 2
-    return float(np.sqrt(np.sum(weights * slopes**2) / np.sum(weights)))

@@ -149,11 +149,11 @@ class AbstractDraw(eqx.Module):
         with as_numpy():
             return self.arrays(keys)
 
-    def there(self, arrays: Mapping[str, Any], name: str) -> Any:
-        """Which of the readings of this name there are, of their shape."""
-        values, mask = arrays[name], arrays[self.measured[name]]
-        whole = mask.reshape(*mask.shape, *[1] * (values.ndim - mask.ndim))
-        return namespace(mask).broadcast_to(whole, values.shape)
+    def there(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
+        """Which of the readings there are, by their name and of their shape."""
+        pairs = {name: (arrays[name].shape, arrays[mask]) for name, mask in self.measured.items()}
+        ones = {name: [1] * (len(shape) - mask.ndim) for name, (shape, mask) in pairs.items()}
+        return {k: namespace(x).broadcast_to(x.reshape(*x.shape, *ones[k]), n) for k, (n, x) in pairs.items()}
 
     def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"], name: str = "world") -> SimulatedWorld:
         """The simulated world of these arrays."""
@@ -201,8 +201,8 @@ class SimulatedWorld:
         arrays = self.arrays if "draw" in self.__dict__ else {}
         if name not in arrays:
             raise AttributeError(f"a simulated world has no array {name!r}; it has {', '.join(arrays)}")
-        values, draw = arrays[name], self.draw
-        return np.where(draw.there(arrays, name), values, values.dtype.type(0)) if name in draw.measured else values
+        values, there = arrays[name], self.draw.there(arrays)
+        return np.where(there[name], values, values.dtype.type(0)) if name in there else values
 
     def folder(self, name: str | None = None) -> RecordingFolder:
         """The recording folder in memory: tables, rig and truth, one tag per trajectory."""

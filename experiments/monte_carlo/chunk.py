@@ -8,6 +8,7 @@ from __future__ import annotations
 import fnmatch
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, partial
 from threading import Lock
 from typing import Any
@@ -81,9 +82,9 @@ def _program_of(study: Study, condition: Condition, name: str) -> ChunkProgram |
         key = condition.index, name, bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
         if key not in study.programs:
             ids, batches = np.zeros(piece_of(study.chunk), int), partial(_batches, study, condition, name)
-            folder, part, config = _folder(study, condition, ids[:1]), part_of(study.seed, ids), study.trackers[name]
+            folder, part = _folder(study, condition, ids[:1]), part_of(study.seed, ids)
             try:
-                study.programs[key] = compiled(folder, batches, config.spec.places, config.every, part)
+                study.programs[key] = compiled(folder, batches, study.trackers[name].every, part)
             except UnfitError:
                 study.programs[key] = None
         return study.programs[key]
@@ -122,7 +123,7 @@ def _batches(study: Study, condition: Condition, name: str, folder: RecordingFol
             tracker = Smoothed(tracker, None) if config.smooth else tracker
         except TypeError as error:
             raise UnusableInput(f"{of}: smooth: {error}; remove `smooth`") from error
-        batches.append(TrackerBatch(tracker, batch.trajectories, batch.planar))
+        batches.append(replace(batch, tracker=tracker))
     return batches
 
 

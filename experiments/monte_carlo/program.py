@@ -41,20 +41,12 @@ from trackwright.trackers.parts.start_nearby import NEARBY, AbstractPlaces
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectories
 
-MARKS = 0.5, 1e-6
-"""The first of the readings that all differ, and their step: no m or rad of them is wrapped or refused."""
-
-SEEN = 0.7
-"""Share of the readings that are there in the second of the trajectories that are compared."""
-
-PIECE = 256
-"""Most trajectories that are drawn and tracked together."""
-
-TICKS = 2**30
-"""Steps into which the time of a trajectory is divided: float32 has no more than 2²⁴."""
+# The first of the readings that all differ, and their step: no m or rad of them is wrapped or refused. Share of the
+# readings of the second probe. Most trajectories together. Steps of the time of one, of which float32 has 2²⁴.
+MARKS, SEEN, PIECE, TICKS = (0.5, 1e-6), 0.7, 256, 2**30
 
 Batches = Callable[[RecordingFolder], list[TrackerBatch]]
-PlacesOf = Callable[[Trajectories, bool], AbstractPlaces] | None
+Part = tuple[UInt32[np.ndarray, " 2"], UInt32[np.ndarray, " n"]]  # data of the seed's key, ids of the trajectories
 
 
 class UnfitError(Exception):
@@ -91,7 +83,7 @@ class Rows(eqx.Module):
 
         A row without any reading is padding, unless the rows are `regular`.
         """
-        values, seen = _flat([arrays[name] for name in draw.measured]), _flat(_masks(draw, arrays))
+        values, seen = _flat([arrays[name] for name in draw.measured]), _flat([*draw.there(arrays).values()])
 
         def constant(x: Any) -> Array:
             """(S, R, …) as (R, …, S n)."""
@@ -174,26 +166,15 @@ class Rows(eqx.Module):
         return last(usable & finite, self.interval)
 
 
-def _masks(draw: AbstractDraw, arrays: Mapping[str, Any]) -> list[Any]:
-    return [draw.there(arrays, name) for name in draw.measured]
-
-
 def _flat(arrays: list[Array]) -> Array:
     """The numbers of arrays (n, …) as (numbers, n), in memory: XLA would draw them anew in the order of their use."""
     return jax.lax.optimization_barrier(jnp.concatenate([jnp.moveaxis(x, 0, -1).reshape(-1, len(x)) for x in arrays]))
 
 
-class Part(NamedTuple):
-    """The trajectories of a chunk: the data of the seed's key, and their ids."""
-
-    key: UInt32[np.ndarray, " 2"]
-    ids: UInt32[np.ndarray, " n"]
-
-
 def chunk_scores(model: tuple[AbstractDraw, AbstractTracker, Rows], part: Part) -> Scores:
     """The scores of the trajectories of a part, differentiable by the numbers of the model."""
     draw, tracker, rows = model
-    arrays = draw(keys_of(part.key, part.ids))
+    arrays = draw(keys_of(*part))
     with as_numpy():
         batch = rows.batch(draw, arrays)
         return rows.scored(tracker.accumulate(batch, _moments, every_row=True), rows.true(arrays))
@@ -206,8 +187,8 @@ def _moments(output: Any, truth: Any) -> tuple[Array, ...]:
     estimate = (mean.azimuth, mean.elevation) if bearing else tuple(mean.position)
     size = int((np.sqrt(8 * len(cov) + 1) - 1) / 2)
     state = jax.tree_util.tree_map(lambda x: np.zeros(np.shape(x)[:-1]), mean)
-    fields = [name.partition(".")[0] for name in component_names(state)[:size]]
-    index = [k for k, field in enumerate(fields) if field in (("azimuth", "elevation") if bearing else ("position",))]
+    fields = ("azimuth", "elevation") if bearing else ("position",)
+    index = [k for k, name in enumerate(component_names(state)[:size]) if name.partition(".")[0] in fields]
     entry = {pair: k for k, pair in enumerate(triangle(size))}
     upper = [
         jnp.zeros_like(output.nis) if bearing and i != j else cov[entry[index[i], index[j]]]
@@ -224,9 +205,9 @@ class ChunkProgram(NamedTuple):
 
     def run(self, part: Part) -> dict[str, np.ndarray]:
         """The arrays of a chunk, as of `tracked.scored`, computed in pieces that fit the processor's cache."""
-        n, size = len(part.ids), piece_of(len(part.ids))
-        ids = part.ids[np.minimum(np.arange(-(-n // size) * size), n - 1)]
-        each = [self.program(self.model, part._replace(ids=some)) for some in ids.reshape(-1, size)]
+        (key, ids), n, size = part, len(part[1]), piece_of(len(part[1]))
+        ids = ids[np.minimum(np.arange(-(-n // size) * size), n - 1)]
+        each = [self.program(self.model, (key, some)) for some in ids.reshape(-1, size)]
         return arrays_of([jax.tree_util.tree_map(np.asarray, scores) for scores in each], n)
 
 
@@ -238,27 +219,23 @@ def piece_of(n: int) -> int:
 def part_of(seed: int, ids: np.ndarray) -> Part:
     """The part of these trajectories."""
     with jax.ensure_compile_time_eval():
-        return Part(np.asarray(seed_key(seed)), ids.astype(np.uint32))
+        return np.asarray(seed_key(seed)), ids.astype(np.uint32)
 
 
-def compiled(
-    folder: RecordingFolder, batches: Batches, places: PlacesOf, every: float | None, part: Part
-) -> ChunkProgram:
+def compiled(folder: RecordingFolder, batches: Batches, every: float | None, part: Part) -> ChunkProgram:
     """The program of a tracker for the world of a simulated folder; raises UnfitError where it has none.
 
-    `batches`: of a folder, with the tracker's settings. `places`: of its specification. `every`: s, an interval in
-    which the last row alone is scored.
+    `batches`: of a folder, with the tracker's settings. `every`: s, an interval in which the last row alone is scored.
     """
     draw = folder.tables.draw if isinstance(folder.tables, SimulatedTables) else None
     if draw is None:
         raise UnfitError("the world has no draw")
-    drawn = draw.world(draw(keys_of(part.key, part.ids[:1])), part.ids[:1].astype(int)).folder(folder.name)
+    first = part[1][:1]
+    drawn = draw.world(draw(keys_of(part[0], first)), first.astype(int)).folder(folder.name)
     alike = [name in folder.tables and table.equals(folder.tables[name]) for name, table in drawn.tables.items()]
     if not all(alike) or pickle.dumps((drawn.rig, None)) != pickle.dumps((folder.rig, folder.calibration)):
         raise UnfitError("the folder is not as it was drawn")
-    model = as_dtype(
-        (draw, *_understood(draw, folder.name, batches, places, every)), jax.dtypes.canonicalize_dtype(float)
-    )
+    model = as_dtype((draw, *_understood(draw, folder.name, batches, every)), jax.dtypes.canonicalize_dtype(float))
     try:
         return ChunkProgram(model, _program(model, part))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
@@ -278,7 +255,9 @@ def expected(
     outlier or lost, where a track begins, and how far bearings bend has no derivative. Raises UnusableInput for another
     metric, and for a tracker whose rows are no drawn numbers, as of range differences.
     """
-    spec, plain = spec_of(tracker), jax.tree_util.tree_map(_any_number, world.draw)
+    # In place of a traced level any number: rows do not depend on it.
+    known = lambda x: np.full(np.shape(x), 0.5) if isinstance(x, jax.core.Tracer) else x  # noqa: E731
+    spec, plain = spec_of(tracker), jax.tree_util.tree_map(known, world.draw)
 
     def batches(folder: RecordingFolder) -> list[TrackerBatch]:
         with jax.ensure_compile_time_eval():
@@ -286,7 +265,7 @@ def expected(
         return [replace(b, tracker=with_values(b.tracker, values, f"tracker '{tracker}'")) for b in found]
 
     try:
-        model = world.draw, *_understood(plain, world.name, batches, spec.places, None)
+        model = world.draw, *_understood(plain, world.name, batches, None)
     except UnfitError as error:
         raise UnusableInput(f"expected: tracker '{tracker}' on {world.name}: {error}; run a study") from error
     # Not known to the compiler, which would draw constants.
@@ -313,11 +292,6 @@ def _moved(draw: Any, tracker: Any, rows: Rows, anchors: Any) -> tuple[Any, Any,
     return replace(draw, rig=rig), tracker, replace(rows, inputs=inputs, nearby=replace(nearby, anchors=places))
 
 
-def _any_number(level: Any) -> Any:
-    """The level, or in place of a traced one any number: rows do not depend on it."""
-    return np.full(np.shape(level), 0.5) if isinstance(level, jax.core.Tracer) else level
-
-
 _programs: dict[bytes, Program] = {}
 
 
@@ -334,9 +308,7 @@ def _program(model: Any, part: Part) -> Program:
     return _programs[key]
 
 
-def _understood(
-    draw: AbstractDraw, name: str, batches: Batches, places: PlacesOf, every: float | None
-) -> tuple[AbstractTracker, Rows]:
+def _understood(draw: AbstractDraw, name: str, batches: Batches, every: float | None) -> tuple[AbstractTracker, Rows]:
     """The tracker of a world's folders, and how its rows follow from the draw; raises UnfitError."""
     if not draw.measured:
         raise UnfitError("the world has no draw for programs")
@@ -347,7 +319,7 @@ def _understood(
     latency = getattr(tracker, "latency", None)
     if isinstance(latency, jax.core.Tracer) or latency not in (None, 0.0):
         raise UnfitError("estimates are late")
-    return tracker, _rows(draw, probes, places, every)
+    return tracker, _rows(draw, probes, every)
 
 
 class _Probe(NamedTuple):
@@ -381,12 +353,12 @@ def _probe(draw: AbstractDraw, name: str, number: int, batches: Batches) -> _Pro
     trajectories = Trajectories.of(found[0].trajectories)
     if set(trajectories.tags) != {str(number)}:
         raise UnfitError("a body has several tags")
-    both = [arrays[of] for of in draw.measured], _masks(draw, arrays)
+    both = [arrays[of] for of in draw.measured], draw.there(arrays).values()
     values, there = (np.concatenate([x.ravel() for x in each]) for each in both)
     return _Probe(values, there, found[0], trajectories)
 
 
-def _rows(draw: AbstractDraw, probes: Sequence[_Probe], places_of: PlacesOf, every: float | None) -> Rows:
+def _rows(draw: AbstractDraw, probes: Sequence[_Probe], every: float | None) -> Rows:
     """How the rows follow from the numbers, by two probes; raises UnfitError."""
     (numbers, _, batch, trajectories), columns = probes[0], probes[0].trajectories.columns
     S, lengths = len(columns), np.diff(columns.starts)
@@ -413,7 +385,7 @@ def _rows(draw: AbstractDraw, probes: Sequence[_Probe], places_of: PlacesOf, eve
         there[name] = sequences(readings.seen)
         of_row = readings.reported
         reported[name] = sequences(np.zeros((len(columns.times), 0)) if of_row is None else of_row)
-    nearby = places_of(trajectories, batch.planar) if places_of else None
+    nearby = batch.places(trajectories, batch.planar) if batch.places else None
     inputs = {k: sequences(x) for k, x in columns.inputs.items() if nearby is None or k != NEARBY.name}
     # A fraction of the shortest step between rows; one number of steps for both, so that their order is kept.
     span = times[0][-1] - times[0][0]

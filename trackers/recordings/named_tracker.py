@@ -118,7 +118,10 @@ class TrackerSpec:
                         grouped[key].append(part)
         joined = {key: Trajectories.joined(parts) for key, parts in grouped.items()}
         with faults_named(name, "build", self.build):
-            built = [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
+            built = [
+                TrackerBatch(self.build(mine[0], planar), mine, planar, places=self.places)
+                for (planar, _), mine in joined.items()
+            ]
         for batch in built if ":" in name else ():  # a user's own, FILE.py:NAME
             with faults_named(name, "run", self.build):
                 check_input(batch.tracker, batch.trajectories[0].recording, name)

@@ -168,12 +168,16 @@ def known_heights(folder: RecordingFolder, tags: Sequence[str]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TrackerBatch:
-    """Trajectories that one tracker runs as a batch; `planar`: the state lies in a plane, as of the floor."""
+    """Trajectories that one tracker runs as a batch; `planar`: the state lies in a plane, as of the floor.
+
+    `places`: as in `TrackerSpec`.
+    """
 
     tracker: AbstractTracker
     trajectories: Sequence[Trajectory]
     planar: bool
     notices: tuple[str, ...] = ()
+    places: Callable[[Trajectories, bool], Any] | None = None
 
 
 @dataclass(frozen=True, repr=False)

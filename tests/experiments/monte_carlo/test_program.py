@@ -64,9 +64,7 @@ def test_a_tracker_whose_rows_are_no_drawn_numbers_is_told_apart(world, tracker,
     study = _study(world, tracker, {})
     folder = WORLDS[world](np.zeros(1, int), 0)
     with pytest.raises(UnfitError, match=reason):
-        compiled(
-            folder, lambda f: study.trackers[tracker].spec.batches([f], tracker), None, None, part_of(0, np.arange(N))
-        )
+        compiled(folder, lambda f: study.trackers[tracker].spec.batches([f], tracker), None, part_of(0, np.arange(N)))
     assert chunk._program_of(study, study.conditions[0], tracker) is None
 
 
