@@ -27,8 +27,7 @@ def _problem(tracker, recordings, patterns, objective=NLL, rows=None):
 
 
 @pytest.mark.parametrize(
-    ("optimiser", "wrong_v", "wrong"),
-    [*((LBFGS(), *factors) for factors in WRONG), (Adam(40, 0.2), 10.0, 10.0)],
+    ("optimiser", "wrong_v", "wrong"), [*((LBFGS(), *factors) for factors in WRONG), (Adam(40, 0.2), 10.0, 10.0)]
 )
 def test_noise_levels_are_recovered_from_starts_that_are_far_off(optimiser, wrong_v, wrong):
     start, true = line_tracker(0.3 * wrong_v, 0.2 * wrong), dict(zip(LEVELS, (0.3, 0.2), strict=True))

@@ -5,11 +5,4 @@ from trackwright.trackers.baselines.switching import mirror_tracker as mirror_tr
 from trackwright.trackers.baselines.switching import switching_tracker as switching_tracker
 from trackwright.trackers.from_arrays import fix_recording as fix_recording
 
-__all__ = [
-    "MovingWindow",
-    "fix_recording",
-    "fix_tracker",
-    "mirror_tracker",
-    "singer_tracker",
-    "switching_tracker",
-]
+__all__ = ["MovingWindow", "fix_recording", "fix_tracker", "mirror_tracker", "singer_tracker", "switching_tracker"]

@@ -4,10 +4,4 @@ from trackwright.trackers.exchange.trajectories import compare_trajectories as c
 from trackwright.trackers.exchange.trajectories import read_trajectory as read_trajectory
 from trackwright.trackers.exchange.trajectories import write_trajectory as write_trajectory
 
-__all__ = [
-    "TrajectoryErrors",
-    "compare_trajectories",
-    "import_frames",
-    "read_trajectory",
-    "write_trajectory",
-]
+__all__ = ["TrajectoryErrors", "compare_trajectories", "import_frames", "read_trajectory", "write_trajectory"]

@@ -142,6 +142,6 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         build=tracker_of_differences,
         lacks=lacks_differences,
         geometry=lambda trajectory: (bias_slots(trajectory), slots_of(trajectory)),
-    ),
+    )
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

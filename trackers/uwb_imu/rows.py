@@ -66,6 +66,6 @@ TRACKERS: Mapping[str, Callable[..., TrackerSpec]] = {
         lacks=lacks_ranges,
         geometry=lambda trajectory: (bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),
         places=range_places,
-    ),
+    )
 }
 """How each tracker is built; `trackers.catalogue` has its table and its line in lists."""

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from trackwright.trackers.core.data.recording import Readings, Recording
-from trackwright.trackers.parts.multilaterate import (
-    RangePlaces,
-    multilaterate,
-    recent_positions,
-    recent_rows,
-)
+from trackwright.trackers.parts.multilaterate import RangePlaces, multilaterate, recent_positions, recent_rows
 from trackwright.trackers.parts.ranges import RANGES
 from trackwright.trackers.uwb_imu.trilateration import multilateration_tracker
 
