@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -119,7 +118,7 @@ class Rig:
         if self.side not in (None, "above", "below"):
             raise UnusableInput(f"side {self.side!r}: expected 'above' or 'below', of the plane of the anchors")
         for name, place in self.anchors.items():
-            traced = isinstance(place, jax.core.Tracer)
+            traced = hasattr(place, "aval")  # an array of jax, whose numbers may be unknown
             if np.shape(place) != (3,) or not (traced or np.all(np.isfinite(place))):
                 raise UnusableInput(f"Rig: anchor {name} is at {np.asarray(place).tolist()}; expected [x, y, z], m")
 
