@@ -71,10 +71,7 @@ def paired_differences(
 
 
 def paired_means(times: np.ndarray, first: np.ndarray, second: np.ndarray, recording: np.ndarray) -> Difference:
-    """The difference of the means of two values (n,) of the same rows; all recordings have the same weight.
-
-    `times` (n,), s; `recording` (n,): its name.
-    """
+    """The difference of the means of values (n,) at the same `times`, s; every `recording` (n,) has the same weight."""
     table = pl.DataFrame({"recording": recording, "t_s": times, "first": first, "second": second})
     rows = _in_pieces([table.with_columns(value=pl.col(name)) for name in ("first", "second")])[0]
     weight = 1 / pl.len().over("recording")

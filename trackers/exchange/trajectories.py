@@ -148,8 +148,7 @@ def export_tracks(
     if table is None:
         raise UnusableInput(f"{run}: has no truth table; expected a folder of `track`, or a recording with truth")
     table = Selection(() if tag is None else (tag,)).of_estimates(table)
-    if recording is not None:
-        table = table.with_columns(recording=pl.lit(recording.name))
+    table = table if recording is None else table.with_columns(recording=pl.lit(recording.name))
     if out.exists() and not force:
         raise UnusableInput(f"--out {out}: exists; expected a new file; --force replaces it")
     if format == "csv":
@@ -161,8 +160,8 @@ def export_tracks(
 
 Alignment = Literal["none", "se2", "se3", "sim3", "scale", "origin"]
 Statistics = dict[str, float]
-ALIKE = 0.3  # the least correlation of aligned positions with the true ones from which an alignment is taken
-STEPS = ("1m", "1s")
+# The least correlation of positions with the true ones from which an alignment is taken; steps of relative errors.
+ALIKE, STEPS = 0.3, ("1m", "1s")
 
 
 def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estimate") -> Similarity:
@@ -185,9 +184,8 @@ def alignment(kind: Alignment, estimate: Poses, truth: Poses, name: str = "estim
     # A tag at rest turns as the noise of its positions does, which does not follow the truth.
     still = n * (d * signs).sum() <= ALIKE * np.linalg.norm(from_x) * np.linalg.norm(from_y)
     if still or np.count_nonzero(d > np.finfo(float).eps) < axes - 1:
-        found = f"{name}: its {n} poses lie on a line, or do not move with the truth"
-        fix = "use --align none, or origin where heights are known"
-        raise UnusableInput(f"{found}, so that --align {kind} finds no rotation; expected motion; {fix}")
+        found = f"{name}: its {n} poses lie on a line, or do not move with the truth, so that --align {kind} finds no"
+        raise UnusableInput(f"{found} rotation; expected motion; use --align none, or origin where heights are known")
     scale = float((d * signs).sum() / ((from_x**2).sum() / n)) if kind in ("sim3", "scale") else 1.0
     if kind != "scale":
         rotation[:axes, :axes] = (u * signs) @ v
@@ -288,10 +286,8 @@ def compare_trajectories(
         pair = [one._replace(positions=np.nan_to_num(one.positions) * [1, 1, 0]) for one in pair]
     turns = [one.attitudes for one in pair if one.attitudes is not None]
     rpe_m, rpe_rad = dict[str, Statistics](), dict[str, Statistics]()
-    for step, size, unit in steps:
-        first, last = _pairs(pair[0], size, unit)
-        if not len(first):
-            continue
+    of_steps = [(step, *_pairs(pair[0], size, unit)) for step, size, unit in steps]
+    for step, first, last in (one for one in of_steps if len(one[1])):
         moved = [one.positions[last] - one.positions[first] for one in pair]
         if len(turns) == 2:
             moved = [turn[first].inv().apply(way) for turn, way in zip(turns, moved, strict=True)]
@@ -324,9 +320,8 @@ def read_poses(
         names = {"recording": truth[0].stem, "tag": tag or "1"} | (one[0] if len(one) == 1 else {})
         table, said = read_trajectory(truth[0])
         table = table if "tag" in table.columns else table.with_columns(tag=pl.lit(names["tag"]))
-        table = table.select("^(t_s|tag|[xyz]_m|q[wxyz])$")
-        rig = Rig(names["recording"])
-        folders = [RecordingFolder(rig.name, truth[0], rig, {"truth": table}, tuple(said))]
+        tables, rig = {"truth": table.select("^(t_s|tag|[xyz]_m|q[wxyz])$")}, Rig(names["recording"])
+        folders = [RecordingFolder(rig.name, truth[0], rig, tables, tuple(said))]
     truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
     tags = sorted({str(one) for table in truths.values() for one in table["tag"].unique()})
     for name, known, option in (("recording", [*truths], "--truth"), ("tag", [tag] * (tag in tags) or tags, "--tag")):
