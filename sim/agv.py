@@ -59,8 +59,7 @@ class Route:
         # A product with zeros and a one: in a program a look-up takes several times as long as the filter.
         at = (part == parts.reshape(-1, *[1] * s.ndim)).astype(s.dtype)
         start, side, heading, turning, *points = xp.tensordot(of_parts.astype(s.dtype), at, 1)
-        along = s - start
-        back, angle = side - along, heading + along / self.radius
+        back, angle = side - (s - start), heading + (s - start) / self.radius
         straight = [begin - back * direction for begin, direction in zip(points[:2], points[2:4], strict=True)]
         turned = [points[4] + self.radius * xp.sin(angle), points[5] - self.radius * xp.cos(angle)]
         return xp.stack([xp.where(turning > 0, a, b) for a, b in zip(turned, straight, strict=True)], axis=-1)

@@ -67,27 +67,29 @@ def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
     return Rig("chamber", anchors={f"A{k + 1}": np.asarray(a, float) for k, a in enumerate(anchors)})
 
 
-def distances_to(rig: Rig, positions: Float[Any, "*rows 3"]) -> Float[Any, "*rows A"]:
-    """The distances (..., A) of positions (..., 3), m, from the rig's anchors."""
-    anchors = namespace(*rig.anchors.values()).stack([*rig.anchors.values()])
+def distances_to(rig: Rig, positions: Float[Any, "*rows 3"], places: Any = None) -> Float[Any, "*rows A"]:
+    """The distances (..., A) of positions (..., 3), m, from the rig's anchors, or from `places` (A, 3) of theirs."""
+    anchors = np.stack([*rig.anchors.values()]) if places is None else places
     x, y, z = (positions[..., None, axis] - anchors[:, axis] for axis in range(3))
     distances: Ranges = namespace(x).sqrt(x * x + y * y + z * z)
     return distances
 
 
 class RangeDraw(AbstractRigDraw):
-    """Ranges to all anchors of the rig, by a two-way protocol, along paths `path`.
+    """Ranges to all anchors of the rig, or to `places` (A, 3) m instead of its own, by a two-way protocol.
 
     Its arrays: `positions` (n, T, 3) m; `ranges` (n, T, anchors) m, where `seen`, anchors in the order of the rig.
     """
 
     protocol: Protocol = static(default=Protocol())
+    places: Float[Any, "A 3"] | None = None
 
     measured = MappingProxyType({"ranges": "seen"})
 
     def arrays(self, keys: Keys) -> dict[str, Any]:
         positions = self.positions(keys, self.times)
-        ranges = two_way_ranges(stream(keys, "two-way ranging"), distances_to(self.rig, positions), self.protocol)
+        distances = distances_to(self.rig, positions, self.places)
+        ranges = two_way_ranges(stream(keys, "two-way ranging"), distances, self.protocol)
         ranges, seen = corrupted(self.corruptions, stream(keys, "corruptions"), self.times, ranges)
         # A tag reports no range that is not positive.
         return {"positions": positions, "ranges": ranges, "seen": seen & (ranges > 0)}

@@ -151,9 +151,8 @@ class AbstractDraw(eqx.Module):
 
     def there(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
         """Which of the readings there are, by their name and of their shape."""
-        pairs = {name: (arrays[name].shape, arrays[mask]) for name, mask in self.measured.items()}
-        ones = {name: [1] * (len(shape) - mask.ndim) for name, (shape, mask) in pairs.items()}
-        return {k: namespace(x).broadcast_to(x.reshape(*x.shape, *ones[k]), n) for k, (n, x) in pairs.items()}
+        of = {name: (arrays[name].shape, arrays[mask]) for name, mask in self.measured.items()}
+        return {k: namespace(x).broadcast_to(x[(..., *[None] * (len(n) - x.ndim))], n) for k, (n, x) in of.items()}
 
     def world(self, arrays: dict[str, np.ndarray], ids: Int[np.ndarray, " n"], name: str = "world") -> SimulatedWorld:
         """The simulated world of these arrays."""

@@ -286,10 +286,10 @@ def _moved(draw: Any, tracker: Any, rows: Rows, anchors: Any) -> tuple[Any, Any,
         fix = f"expected ({len(own)}, 3), m, and a world and a tracker of ranges alone"
         raise UnusableInput(f"expected: anchors have shape {np.shape(anchors)}; {fix}")
     places, number = jnp.asarray(anchors), rows.inputs["anchor"][..., 0].astype(int)
-    of_names = dict(zip(sorted(own), places, strict=True))
-    rig = replace(draw.rig, anchors={name: of_names[name] for name in own})
+    in_rig = places[np.array([sorted(own).index(name) for name in own])]
     inputs = {**rows.inputs, ANCHORS.name: places[number]}
-    return replace(draw, rig=rig), tracker, replace(rows, inputs=inputs, nearby=replace(nearby, anchors=places))
+    rows = replace(rows, inputs=inputs, nearby=replace(nearby, anchors=places))
+    return replace(draw, places=in_rig), tracker, rows
 
 
 _programs: dict[bytes, Program] = {}

@@ -118,8 +118,7 @@ class Rig:
         if self.side not in (None, "above", "below"):
             raise UnusableInput(f"side {self.side!r}: expected 'above' or 'below', of the plane of the anchors")
         for name, place in self.anchors.items():
-            traced = hasattr(place, "aval")  # an array of jax, whose numbers may be unknown
-            if np.shape(place) != (3,) or not (traced or np.all(np.isfinite(place))):
+            if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
                 raise UnusableInput(f"Rig: anchor {name} is at {np.asarray(place).tolist()}; expected [x, y, z], m")
 
     def places(self) -> list[Point]:
