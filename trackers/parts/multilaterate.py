@@ -5,7 +5,6 @@ From those of the last seconds range trackers start.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -226,7 +225,7 @@ def recent_positions(
     unknown. All rows of a time have its position, as in `RangePlaces`.
     """
     last, of_row = last_of_times(starts, times)
-    rows, windows = recent_rows(starts, times, numbers, seen, len(anchors), MEDIAN_RANGES)
+    rows, windows = recent_rows(last, starts, times, numbers, seen, len(anchors), MEDIAN_RANGES)
     floating = jax.dtypes.canonicalize_dtype(float)
     result, height_of = np.zeros((len(last), 4)), np.repeat(heights, np.diff(starts))[last]
     # Arrays of NumPy go to the device with the call, in a third of the time.
@@ -245,10 +244,11 @@ def recent_positions(
 
 
 def recent_rows(
-    starts: np.ndarray, times: np.ndarray, numbers: np.ndarray, seen: np.ndarray, count: int, most: int | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """The fields `rows` and `windows` of `RangePlaces`: of `most` rows per anchor, by default of all in the windows."""
-    last, begins = last_of_times(starts, times)[0], np.repeat(starts[:-1], np.diff(starts))
+    last: np.ndarray, starts: np.ndarray, times: np.ndarray, numbers: np.ndarray, seen: np.ndarray, count: int,
+    most: int | None = None,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """The fields `rows` and `windows` of `RangePlaces` for the `last` row of each time: `most` of an anchor, or all."""
+    begins = np.repeat(starts[:-1], np.diff(starts))
     own = [np.flatnonzero(seen & (numbers == anchor)) for anchor in range(count)]
     until = np.stack([np.searchsorted(rows, last, "right") for rows in own], axis=1)
     if most is None:
@@ -295,10 +295,10 @@ def _solved(known: tuple[Any, Any], measured: tuple[Any, Any, Any]) -> Any:
     (anchors, height), (ranges, windows, blocks) = known, measured
 
     def solve(block: Any, solved: Any) -> Any:
-        of_window = [partial(placed, anchors, height, ranges[block], windows[block] >= least) for least in (2, 1)]
-        near = of_window[0]()
+        fitted = lambda least: placed(anchors, height, ranges[block], windows[block] >= least)  # noqa: E731
+        near = fitted(2)
         whole = jnp.all(near[3] > 0)
-        place = jax.lax.cond(whole, lambda: near, lambda: jnp.where(near[3] > 0, near, of_window[1]()))
+        place = jax.lax.cond(whole, lambda: near, lambda: jnp.where(near[3] > 0, near, fitted(1)))
         return solved.at[block].set(place)
 
     return jax.lax.fori_loop(0, blocks, solve, jnp.zeros((BLOCKS, 4, BLOCK), ranges.dtype))

@@ -226,8 +226,8 @@ def range_places(trajectories: Trajectories, planar: bool) -> RangePlaces:
     """How the input `nearby` of one tag's rows follows from its ranges; `planar`: at the known height."""
     rows, folder = trajectories.columns, trajectories.folders[0]
     anchors, number = anchor_positions(folder), rows.inputs["anchor"][:, 0].astype(int)
-    seen, of_row = rows.readings[RANGES].seen[:, 0], last_of_times(rows.starts, rows.times)[1]
-    recent, windows = recent_rows(rows.starts, rows.times, number, seen, len(anchors))
+    seen, (last, of_row) = rows.readings[RANGES].seen[:, 0], last_of_times(rows.starts, rows.times)
+    recent, windows = recent_rows(last, rows.starts, rows.times, number, seen, len(anchors))
     height, slots = float(trajectories.heights[0]) if planar else None, int((windows > 1).sum(axis=2).max())
     return RangePlaces(recent, windows, of_row, anchors, height, folder.rig.height_limits(), slots)
 

@@ -29,7 +29,7 @@ def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Traject
     readings, number = range_rows(folder, rows)
     last, number_of_time = last_of_times(rows.starts, rows.times)
     latest, windows = (
-        x[..., 0] for x in recent_rows(rows.starts, rows.times, number, readings.seen[:, 0], len(anchors), most=1)
+        x[..., 0] for x in recent_rows(last, rows.starts, rows.times, number, readings.seen[:, 0], len(anchors), most=1)
     )
     times, starts = rows.times[last], np.append(number_of_time[rows.starts[:-1]], len(last))
     age = np.where(windows > 0, times[:, None] - rows.times[latest], np.inf)

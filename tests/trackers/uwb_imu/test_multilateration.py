@@ -159,7 +159,7 @@ def test_all_rows_of_a_time_have_the_place_from_the_medians_of_the_last_seconds(
 def test_places_of_several_trajectories_at_once_are_those_of_each(rows_of_ranges):
     _, times, numbers, ranges, seen = rows_of_ranges
     one = np.array([0, 300])
-    recent, windows = recent_rows(one, times[:300], numbers[:300], np.ones(300, bool), 6)
+    recent, windows = recent_rows(np.arange(5, 300, 6), one, times[:300], numbers[:300], np.ones(300, bool), 6)
     slots, of_row = int((windows > 1).sum(axis=2).max()), np.repeat(np.arange(50), 6)
     places = RangePlaces(recent, windows, of_row, ANCHORS, None, np.array([-9.0, 9.0]), slots)
     together = np.stack(np.split(ranges, 2), axis=-1)[:, None], np.stack(np.split(seen, 2), axis=-1)[:, None]
