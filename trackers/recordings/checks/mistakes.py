@@ -337,8 +337,7 @@ class Moments(NamedTuple):
             slope = np.stack([at(x + by) - error for by in NEAR * np.eye(3)], axis=-1) / NEAR * free[:, None]
             heard = np.isfinite(error)
             sizes = np.where(heard.any(axis=1, keepdims=True), np.abs(error), 0.0)
-            middle = heard.sum(axis=1, keepdims=True) // 2  # by sorting, eight times as fast as np.nanmedian
-            scale = np.maximum(np.take_along_axis(np.sort(sizes), middle, 1), 0.05)
+            scale = np.maximum(np.take_along_axis(np.sort(sizes), heard.sum(axis=1, keepdims=True) // 2, 1), 0.05)
             weight = heard / (1.0 + np.nan_to_num(error / (2.0 * scale)) ** 2)
             error, slope = np.nan_to_num(error), np.nan_to_num(slope)
             normal = np.einsum("ma,mai,maj->mij", weight, slope, slope) + 0.02 * np.eye(3)
