@@ -27,14 +27,10 @@ def _wrong(words, folder, out):
     return "; ".join(wrong)
 
 
-@pytest.mark.parametrize(
-    ("command", "count"),
-    [
-        ("check", 25),
-        pytest.param("check", 1000, marks=pytest.mark.slow),
-        pytest.param("track", 60, marks=pytest.mark.slow),
-    ],
-)
+MANY = [pytest.param(*one, marks=pytest.mark.slow) for one in (("check", 1000), ("track", 60))]
+
+
+@pytest.mark.parametrize(("command", "count"), [("check", 12), *MANY])
 def test_a_damaged_recording_is_read_or_refused_in_a_line(command, count, tmp_path):
     failed, out = [], tmp_path / "out"
     for number in range(count):

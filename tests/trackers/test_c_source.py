@@ -36,15 +36,10 @@ def _mean(estimates):
     return np.stack([np.asarray(x, float) for x in jax.tree_util.tree_leaves(estimates.mean)], axis=-1)
 
 
-@pytest.mark.parametrize(
-    ("world", "name"),
-    [
-        ("agv", "fix-kf"),
-        ("ranges", "uwb"),
-        pytest.param("fusion", "bearings", marks=pytest.mark.slow),
-        pytest.param("tdoa", "tdoa", marks=pytest.mark.slow),
-    ],
-)
+SLOW = [pytest.param(*x, marks=pytest.mark.slow) for x in (("agv", "fix-kf"), ("fusion", "bearings"), ("tdoa", "tdoa"))]
+
+
+@pytest.mark.parametrize(("world", "name"), [("ranges", "uwb"), *SLOW])
 def test_the_program_gives_the_estimates_and_statuses_of_run(world, name, tmp_path):
     batch = _batch(world, name)
     recording = batch.trajectories[0].recording

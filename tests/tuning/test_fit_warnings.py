@@ -50,6 +50,7 @@ def _gauss_markov(rng, rows, sigma, length):
     return x
 
 
+@pytest.mark.slow
 def test_a_fit_to_data_of_the_model_has_no_cautions():
     result = tw.fit(line_tracker(0.5, 0.1), walks([500, 400, 450, 500], 1), "nll", LEVELS)
     assert result.cautions == []

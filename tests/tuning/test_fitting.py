@@ -143,6 +143,7 @@ def test_a_fit_resumed_at_any_step_is_bit_identical(line_world, optimiser):
         assert again.filter_runs == whole.filter_runs
 
 
+@pytest.mark.slow
 def test_starts_of_adam_end_where_they_no_longer_improve_or_meet_a_better_one(line_world):
     seen, rmse = [], RootMeanSquareError(dimensions=1)
     options, on = FitOptions(steps=300, optimiser=Adam(300)), Progress(report=seen.append)

@@ -38,7 +38,7 @@ def test_a_recording_counts_for_so_many_estimates_at_most():
         assert 0.8 * MOST_ROWS * count < nats < MOST_ROWS * count
 
 
-@pytest.mark.parametrize("prior", ["flat", "sites"])
+@pytest.mark.parametrize("prior", [pytest.param("flat", marks=pytest.mark.slow), "sites"])
 def test_standard_errors_do_not_depend_on_how_far_off_the_start_is(prior):
     made, options = walks([600] * 4, 3), tw.FitOptions(prior=prior)
     near, far = (tw.fit(line_tracker(sigma=sigma), made, "nll", None, options).standard_errors for sigma in (0.3, 3.0))

@@ -147,6 +147,7 @@ def test_the_same_command_continues_after_an_end_at_any_moment(archive, whole, b
     assert _bytes(tmp_path) == _bytes(whole[1])
 
 
+@pytest.mark.slow
 def test_what_changed_is_tracked_again_and_nothing_else(tmp_path, begun):
     paths, out = write_archive(tmp_path / "archive", 4), tmp_path / "out"
 

@@ -123,7 +123,7 @@ def test_worker_processes_give_the_bits_of_threads(studies, tmp_path):
     assert found == [sha(run_study(study, tmp_path / f"{study.name}-here")) for study in studies]
 
 
-@pytest.mark.parametrize("where", ["threads", "elsewhere"])
+@pytest.mark.parametrize("where", [pytest.param("threads", marks=pytest.mark.slow), "elsewhere"])
 def test_a_study_interrupted_by_ctrl_c_continues_from_its_store(studies, elsewhere, tmp_path, where):
     study, seen = studies[1], []
     executor = None if where == "threads" else elsewhere

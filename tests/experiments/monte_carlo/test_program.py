@@ -19,8 +19,8 @@ from trackwright.trackers.core.run.chunks import as_dtype
 N, SLOW = 6, pytest.mark.slow
 LINE, STATION = {"rate_hz": 1.0}, {"rows": 30, "drop_outs": 0.2, "outliers": 0.05, "gauss_markov": 0.1}
 AGV, FEW = {"rows": 60, "mirror": 0.1, "latency": 0.2}, {"rows": 3, "drop_outs": 0.95}
-PAIRS = [("line", "fix-kf", {**LINE, "situation": "speeds"}), ("station", "das", FEW), ("agv", "median", AGV)]
-LONG = [("line", "fix-kf", LINE), ("station", "beam", STATION),
+PAIRS = [("line", "fix-kf", {**LINE, "situation": "speeds"}), ("station", "das", FEW)]
+LONG = [("line", "fix-kf", LINE), ("station", "beam", STATION), ("agv", "median", AGV),
         ("station", "direct", {**STATION, "lost_station": "2", "masked_antenna": ("1", 3)}),
         ("station", "cascade", STATION), ("agv", "imm", AGV), ("agv", "mhk", AGV),
         ("ranges", "uwb", {"rows": 60, "lost": 0.5}), ("fusion", "bearings", {"rows": 60, "lost": 0.3})]  # fmt: skip
@@ -32,10 +32,8 @@ def _study(world, tracker, numbers, **config):
 
 
 def _both(study):
-    condition, name = study.conditions[0], next(iter(study.trackers))
-    ids = np.arange(N)
+    condition, name, ids = study.conditions[0], next(iter(study.trackers)), np.arange(N)
     program = chunk._program_of(study, condition, name)
-    assert program is not None
     batches = partial(chunk._batches, study, condition, name, chunk._folder(study, condition, ids))
     return program.run(part_of(study.seed, ids)), chunk._scored(study, study.trackers[name], batches, ids)
 
@@ -50,7 +48,7 @@ def test_the_program_sums_what_recordings_give(world, tracker, numbers, **config
         assert ours[name].sum() == expected[name].sum()
 
 
-@pytest.mark.parametrize("config", [{"smooth": True}, {"every": 3.0}])
+@pytest.mark.parametrize("config", [{"smooth": True}, pytest.param({"every": 3.0}, marks=SLOW)])
 def test_a_smoothed_or_thinned_tracker_has_a_program_too(config):
     test_the_program_sums_what_recordings_give("line", "fix-kf", LINE, **config)
 

@@ -83,6 +83,7 @@ def test_positions_are_found_to_centimetres_whatever_is_missing(runs, tracker, w
     assert set(np.unique(estimates.status)) <= {Status.OK, Status.WAITING} | started_again
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", ["whole", "a station is lost"])
 def test_the_direct_tracker_is_consistent(runs, world):
     estimates, errors = runs["direct", world]

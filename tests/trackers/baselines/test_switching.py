@@ -124,6 +124,7 @@ def test_a_height_whose_mirror_image_is_below_the_floor_is_resolved(climbing):
     assert np.abs(estimates.mean.position[2] - z)[high].max() < 0.3
 
 
+@pytest.mark.slow
 def test_where_the_side_is_ambiguous_both_lie_within_the_reported_covariance(climbing):
     z, estimates, _ = climbing
     middle = (z > PLANE + 0.5) & (z < 2 * PLANE - 0.5)
@@ -133,6 +134,7 @@ def test_where_the_side_is_ambiguous_both_lie_within_the_reported_covariance(cli
         assert np.all(np.abs(height - side) < 2 * sigma + 0.2)
 
 
+@pytest.mark.slow
 def test_later_fixes_resolve_the_side_where_filtered_heights_are_ambiguous(climbing):
     z, filtered, smoothed = climbing
     middle = (z > PLANE + 0.5) & (z < 2 * PLANE - 0.5)
@@ -140,6 +142,7 @@ def test_later_fixes_resolve_the_side_where_filtered_heights_are_ambiguous(climb
     assert errors[1] < 0.5 * errors[0]
 
 
+@pytest.mark.slow
 def test_a_track_starts_on_the_side_of_its_first_fix(climbing):
     z, estimates, _ = climbing
     # Metres below the plane the mirror image fits equally well; only the first fix favours the true side.

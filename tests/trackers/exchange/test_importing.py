@@ -162,6 +162,7 @@ def test_a_truth_that_cannot_be_brought_over_is_refused(foreign, arguments, word
     assert not Path("hall/truth.parquet").exists()
 
 
+@pytest.mark.slow
 def test_a_height_that_biases_of_ranges_do_not_determine_stays_as_it_is():
     folder = tw.simulate.ranges(n=1, rows=400, seed=4, hidden=0.0, bias=0.0).folder()
     longer = folder.tables["ranges"].with_columns(pl.col("range_m") + 0.04)

@@ -45,6 +45,7 @@ def _log_likelihood(travel):
     return np.log(across * norm.pdf(0.2, scale=SIGMA_FIX) * third)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["grid", "particles"])
 def test_a_tag_has_halted_with_the_chance_of_its_time_of_travel(kind):
     tracker, batch = _batch(FILTERS[kind], KEYS if kind == "particles" else 1)
@@ -65,6 +66,7 @@ def test_the_gradient_in_the_time_of_travel_is_that_of_the_chances():
     assert float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-4, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_ranges_that_stay_too_long_leave_the_covariances_within_the_limit_of_regret():
     anchors, times = np.array([[3.0, 0.0, 1.0], [-2.0, -1.0, 1.0]]), np.arange(0.0, 60.0, 0.2)
     x = np.clip(0.5 + 0.1 * (times - 30.0), 0.5, 1.5)

@@ -236,6 +236,7 @@ def _still_tags(variance):
     return tuple(tracker.run(stack(trajectories, dtype=dtype)) for dtype in (np.float32, np.float64))
 
 
+@pytest.mark.slow
 def test_in_single_precision_covariances_stay_proper_after_a_diffuse_start():
     single, _ = _still_tags(1e4)
     assert np.all(np.isfinite(flat(single.mean)))
