@@ -113,7 +113,7 @@ def series(
     by_sensor, spread = (x if isinstance(x, Mapping) else {SENSOR: x} for x in (z, {} if std is None else std))
     if unknown := [sensor for sensor in spread if sensor not in by_sensor]:
         raise UnusableInput(f"series: std of {listed(unknown)}; expected that of {listed(by_sensor)}, as of z")
-    readings, rows = {}, len(np.atleast_1d(next(iter(by_sensor.values())) if times is None else times))
+    readings, rows = {}, len(np.atleast_1d(next(iter(by_sensor.values()), ()) if times is None else times))
     for sensor, x in by_sensor.items():
         values, seen = masked(f"series: the values of {sensor}", x, rows)
         readings[sensor] = Readings(values, seen, variances(spread.get(sensor), values))

@@ -110,7 +110,7 @@ def metrics_section(results: Results) -> Section:
         for c in study.conditions
         for t in study.trackers
     ]
-    note = f"{study.runs} trajectories per row, the same for all trackers. In brackets 95 % bootstrap intervals."
+    note = f"Trajectories per row: {study.runs}, the same for all trackers. In brackets 95 % bootstrap intervals."
     if any(metric.startswith("bound") for metric in study.metrics):
         note += " The bound is for the tracker's own noise levels, over the second half of the rows."
     head = ["world", "tracker", *(heading(metric, units[metric], "\u00a0") for metric in shown)]

@@ -25,7 +25,7 @@ from trackwright.trackers.recordings.tracks import cut
 
 ROWS, FEWEST, MOST = 64, 6, 8  # rows and numbers of recordings: batches of 5 to 8 have one program
 CUTS = 3  # of a recording that is run in pieces
-STEP = 1e-6  # of difference quotients, of the unconstrained value of a tunable: longer ones meet jumps of estimates
+STEP = 1e-5  # of difference quotients, of the unconstrained value of a tunable: longer ones meet jumps of estimates
 FIELDS = ("mean", "cov_upper", "log_likelihood", "nis", "nis_dof", "wrapped", "status")
 ALONE, EVERY = "no mean, maximum or sort over the last axis, of trajectories", slice(None)
 
