@@ -171,7 +171,7 @@ class FixStart(AbstractStart):
     """A start at the first fix with x and y, at rest, with `sigma_position` m and `sigma_velocity` m/s.
 
     `planar`: x and y alone. `velocities`, `accelerations`: their numbers of components in the state; accelerations have
-    a standard deviation of `sigma_velocity` per second, m/s². Without z the height has a standard deviation of 10 km.
+    a standard deviation of `sigma_velocity` per second, m/s². Without z the height has a standard deviation of 1 km.
     """
 
     sigma_position: Noise
@@ -198,7 +198,7 @@ class FixStart(AbstractStart):
         n = 2 if self.planar else 3
         zero = jnp.zeros_like(candidate[0])
         position_variance, velocity_variance = self.sigma_position.value**2, self.sigma_velocity.value**2
-        height_variance = jnp.where(row.readings[FIXES].seen[2], position_variance, 1e8)
+        height_variance = jnp.where(row.readings[FIXES].seen[2], position_variance, 1e6)
         variances = [position_variance, position_variance, height_variance][:n]
         position, velocity = Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * self.velocities)
         cov = diagonal([*variances, *[velocity_variance] * (self.velocities + self.accelerations)], zero)
