@@ -127,8 +127,9 @@ def read_trajectory(path: Path | str) -> tuple[pl.DataFrame, list[str]]:
         if (at := table_times.restarted_at(times)) is not None:
             found = f"pose {at + 1}: {times[at]:.3f} s after {times[:at].max():.3f} s: the clock went back"
             raise UnusableInput(f"{path}: {found}; expected times that increase; make two files of it")
-        late = int((np.diff(times) < 0).sum())
+        late, again = int((np.diff(times) < 0).sum()), rows.height - straight["t_s"].n_unique()
         notices += said + [f"rows earlier than the previous row: {late}; sorted"] * bool(late)
+        notices += [f"rows with the time of another row: {again}; remove repeats"] * bool(again)
     return pl.concat(tracks), notices
 
 
