@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackwright.trackers.conformance.parts import BrokenContract, Check, NotApplicable, asserted
-from trackwright.trackers.core.data.estimates import Estimates, Status
+from trackwright.trackers.core.data.estimates import Estimates, Status, is_usable
 from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
 from trackwright.trackers.core.errors import one_or_more, require
 from trackwright.trackers.core.model.tunable import replaced, tunables
@@ -211,11 +211,11 @@ class _Sums:
 
 
 def _score(output: Output, truth: Any) -> tuple[Any, Any]:
-    """The log-likelihood of each trajectory in a row, and a sum of its estimate's numbers with weights near one."""
+    """The log-likelihood of each trajectory in a row, and a weighted sum of its usable estimate's numbers."""
     numbers = [x.reshape(-1, x.shape[-1]) for x in jax.tree_util.tree_leaves(output.mean)]
     each = jnp.concatenate([x.astype(output.log_likelihood.dtype) for x in numbers])
-    weights = 1.0 + 0.1 * np.cos(np.arange(len(each)))
-    return output.log_likelihood, jnp.sum(jnp.asarray(weights, each.dtype)[:, None] * each, axis=0)
+    weights = jnp.asarray(1.0 + 0.1 * np.cos(np.arange(len(each))), each.dtype)
+    return output.log_likelihood, jnp.where(is_usable(output.status), weights @ each, 0.0)
 
 
 def _varied(recordings: Sequence[Recording]) -> list[Recording]:
