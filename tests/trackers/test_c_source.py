@@ -13,6 +13,7 @@ import trackwright as tw
 from trackwright.trackers.c_source import c_source, rows_of, write_c
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+SLOW = [pytest.param(*x, marks=pytest.mark.slow) for x in (("agv", "fix-kf"), ("fusion", "bearings"), ("tdoa", "tdoa"))]
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-DTAG_MAIN")
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is installed")
 
@@ -34,9 +35,6 @@ def _replayed(source, recording, folder, compiler=None):
 
 def _mean(estimates):
     return np.stack([np.asarray(x, float) for x in jax.tree_util.tree_leaves(estimates.mean)], axis=-1)
-
-
-SLOW = [pytest.param(*x, marks=pytest.mark.slow) for x in (("agv", "fix-kf"), ("fusion", "bearings"), ("tdoa", "tdoa"))]
 
 
 @pytest.mark.parametrize(("world", "name"), [("ranges", "uwb"), *SLOW])

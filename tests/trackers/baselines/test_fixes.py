@@ -110,6 +110,13 @@ def test_estimates_are_valid_at_the_time_of_measurement_and_near_the_true_positi
     assert np.mean(errors**2) < np.mean(now**2)
 
 
+def test_a_height_that_comes_late_is_known_one_fix_behind_double_precision(circling):
+    readings = Readings(circling[0].readings[FIXES].values, np.arange(400)[:, None] >= [0, 0, 20])
+    late = dataclasses.replace(circling[0], readings={FIXES: readings})
+    single, double = (fix_tracker().run(stack([late], dtype=x)).covariance for x in (np.float32, np.float64))
+    np.testing.assert_allclose(single[0, 21:50, 2, 2], double[0, 20:49, 2, 2], rtol=0.02)
+
+
 def test_a_tag_at_a_known_height_is_tracked_over_the_floor(circling):
     recording, position = circling
     seen = np.tile([True, True, False], (len(recording), 1))

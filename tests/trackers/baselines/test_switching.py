@@ -18,6 +18,8 @@ from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.fixes import FIXES
 
+pytestmark = pytest.mark.slow
+
 PLANE, OFFSET, SHRINK, SIGMA, SIGMA_A, SIGMA_Z = 1.5, 0.3, 0.8, 0.15, 0.5, 0.4
 MEAN, COV = np.array([0.1, 0.2, 1.2, 0.0, 0.0]), np.diag([1.0, 1.0, 0.6, 0.3, 0.3])
 
@@ -82,7 +84,6 @@ def _enumerated(rate, rows):
     return mean, w @ (np.array(covs) + (np.array(means) - mean) ** 2), evidence + floor
 
 
-@pytest.mark.slow
 def test_without_switching_the_mixture_is_the_enumeration_of_both_sides():
     estimates = _estimates(1e-9, 7)
     mean, variance, evidence = _enumerated(1e-9, 7)
@@ -92,7 +93,6 @@ def test_without_switching_the_mixture_is_the_enumeration_of_both_sides():
     assert estimates.log_likelihood.sum() == pytest.approx(evidence, abs=1e-6)
 
 
-@pytest.mark.slow
 def test_with_switching_the_mixture_is_near_the_enumeration_of_all_128_sequences():
     estimates = _estimates(1.0, 8)
     mean, variance, evidence = _enumerated(1.0, 8)
@@ -117,14 +117,12 @@ def climbing():
     return z, tracker.run(world), Smoothed(tracker).run(world)
 
 
-@pytest.mark.slow
 def test_a_height_whose_mirror_image_is_below_the_floor_is_resolved(climbing):
     z, estimates, _ = climbing
     high = z > 2 * PLANE + 0.3
     assert np.abs(estimates.mean.position[2] - z)[high].max() < 0.3
 
 
-@pytest.mark.slow
 def test_where_the_side_is_ambiguous_both_lie_within_the_reported_covariance(climbing):
     z, estimates, _ = climbing
     middle = (z > PLANE + 0.5) & (z < 2 * PLANE - 0.5)
@@ -134,7 +132,6 @@ def test_where_the_side_is_ambiguous_both_lie_within_the_reported_covariance(cli
         assert np.all(np.abs(height - side) < 2 * sigma + 0.2)
 
 
-@pytest.mark.slow
 def test_later_fixes_resolve_the_side_where_filtered_heights_are_ambiguous(climbing):
     z, filtered, smoothed = climbing
     middle = (z > PLANE + 0.5) & (z < 2 * PLANE - 0.5)
@@ -142,7 +139,6 @@ def test_later_fixes_resolve_the_side_where_filtered_heights_are_ambiguous(climb
     assert errors[1] < 0.5 * errors[0]
 
 
-@pytest.mark.slow
 def test_a_track_starts_on_the_side_of_its_first_fix(climbing):
     z, estimates, _ = climbing
     # Metres below the plane the mirror image fits equally well; only the first fix favours the true side.
