@@ -35,7 +35,7 @@ PENALTY, GAIN, FITTED_GAIN, EXPLAINED, NEARLY, BROKEN, FEW = 0.06, 0.65, 1.0, 2.
 COARSE, STARTS, ALIKE, MOST_SWAPPED, CLEAR, LEAST_CLOCK_S, LATENCY_S, LONGEST_S = 240, 5, 1.2, 32, 1.5, 0.05, 1.0, 60.0
 # Without truth: moments compared, numbers of one beyond its unknowns, errors that contradict, m, by how much a change
 # lowers them, how many may stay, steps to a position, anchors of which two may be swapped, and a small way, m.
-MOMENTS, SPARE, CONTRADICTED, FALL, FEW_LEFT, STEPS, MOST_PAIRED, NEAR = 60, 2, 0.5, 3.0, 0.25, 12, 12, 1e-4
+MOMENTS, SPARE, CONTRADICTED, FALL, FEW_LEFT, STEPS, MOST_PAIRED, NEAR = 60, 2, 0.5, 4.0, 0.25, 12, 12, 1e-4
 
 FACTORS = {0.001: "millimetres", 0.01: "centimetres", 0.3048: "feet", 0.0254: "inches", 1e3: "kilometres"}
 # By the first column of a table, factors to its unit and what they undo.
@@ -416,7 +416,7 @@ def check_contradictions(recording: RecordingFolder, table: str) -> Iterator[Che
             cost = float(np.mean(np.log(np.where(np.isfinite(after), after, CONTRADICTED)[heard] + 0.05)))
             words = f"contradict each other by {factor * was:.2g}{unit}, and by {factor * most:.2g}{unit} {words}"
             found.append((round(cost, 2), len(found), "warning" if alone else "error", words))
-    if (large := typical > CONTRADICTED).any() and not found:
+    if (large := typical > 2.0 * CONTRADICTED).any() and not found:
         names = listed(compress(given.view.ids, large))
         words = f"of {names} contradict others of the same moment by {factor * typical.max():.3g}{unit}"
         found.append((0.0, 0, "warning", words))
