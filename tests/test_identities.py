@@ -12,16 +12,12 @@ NUMBERS = ("single and batch", "accumulate", "gradient")
 QUICK = [(case, name) for case in ("fix-kf", "median", "das") for name in BITS]
 """Of one of each kind: a Kalman filter, a window, a tracker without memory."""
 
-BENT = ("bearings", "fusion", "cascade")
-"""How far their readings bend has no derivative (`ekf.py`): where it begins to count, the likelihood has a step."""
-
 
 def _params():
     return [
         pytest.param(case, name, id=f"{case.name}-{name}", marks=() if (case.name, name) in QUICK else pytest.mark.slow)
         for case in CASES.values()
         for name in (*BITS, *NUMBERS)
-        if name != "gradient" or not case.name.startswith(BENT)
     ]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from trackwright.trackers.conformance.parts import BrokenContract, Check, NotApplicable, asserted
 from trackwright.trackers.core.data.estimates import Estimates, Status, is_usable
-from trackwright.trackers.core.data.recording import Batch, Readings, Recording, stack
+from trackwright.trackers.core.data.recording import Batch, Recording, stack
 from trackwright.trackers.core.errors import one_or_more, require
 from trackwright.trackers.core.model.tunable import replaced, tunables
 from trackwright.trackers.core.run.chunks import CHUNK, as_dtype, batch_estimates, called
@@ -164,6 +164,9 @@ def tracker_checks(tracker: AbstractTracker, recordings: Sequence[Recording], *,
     def gradient() -> None:
         if not tunables(tracker):
             raise NotApplicable("the tracker has no tunables")
+        sensors = jax.tree_util.tree_leaves(tracker, is_leaf=lambda x: hasattr(x, "curved"))
+        if any(getattr(x, "curved", False) for x in sensors):
+            raise NotApplicable("where readings begin to bend, the likelihood has a step, and the bend no derivative")
         other = run(batch()._replace(key=np.asarray(batch().key)[::-1].copy()))
         if not np.array_equal(other.log_likelihood, estimates().log_likelihood, equal_nan=True):
             raise NotApplicable("estimates depend on random numbers, whose derivative is no difference quotient")
@@ -224,10 +227,7 @@ def _varied(recordings: Sequence[Recording]) -> list[Recording]:
     for k in range(max(min(len(recordings), MOST), FEWEST)):
         rng, whole = np.random.default_rng(k), recordings[k % min(len(recordings), MOST)]
         part = cut(whole, 0, max(min(ROWS, len(whole)) - 3 * k, 1))
-        readings = {
-            name: Readings(r.values, r.seen & (rng.random(np.shape(r.seen)) > 0.1), r.reported)
-            for name, r in part.readings.items()
-        }
+        readings = {n: replace(r, seen=r.seen & (rng.random(np.shape(r.seen)) > 0.1)) for n, r in part.readings.items()}
         varied.append(replace(part, readings=readings))
     varied.append(varied.pop(max(range(len(varied)), key=lambda k: len(varied[k]))))
     return [replace(r, id=k) for k, r in enumerate(varied)]
