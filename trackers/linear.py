@@ -108,7 +108,7 @@ def series(
     0, 1, 2 …. `std`: standard deviations of the shape of z, which add to R. `inputs`: arrays (T, …) by name, as u=….
     `truth`: (T, d) by the name of a part of the state. Raises UnusableInput for arrays that do not fit.
     """
-    require(truth is None or isinstance(truth, Mapping), "series", truth, "truths by name, as {'x': truth}")
+    require(truth is None or isinstance(truth, Mapping), "series", truth, "truth by part of the state, as {'x': truth}")
     by_sensor, spread = (x if isinstance(x, Mapping) else {SENSOR: x} for x in (z, {} if std is None else std))
     if unknown := [sensor for sensor in spread if sensor not in by_sensor]:
         raise UnusableInput(f"series: std of {listed(unknown)}; expected that of {listed(by_sensor)}, as of z")

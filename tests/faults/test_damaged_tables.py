@@ -30,7 +30,7 @@ def _wrong(words, folder, out):
 MANY = [pytest.param(*one, marks=pytest.mark.slow) for one in (("check", 1000), ("track", 60))]
 
 
-@pytest.mark.parametrize(("command", "count"), [("check", 12), *MANY])
+@pytest.mark.parametrize(("command", "count"), [("check", 25), *MANY])
 def test_a_damaged_recording_is_read_or_refused_in_a_line(command, count, tmp_path):
     failed, out = [], tmp_path / "out"
     for number in range(count):

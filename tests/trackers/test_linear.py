@@ -183,7 +183,7 @@ def test_a_singular_covariance_in_single_precision_may_be_indefinite_by_rounding
         (lambda: _linear(F, H, Q, R).run(tw.series(Z, u=np.ones(40))), "has an input u, but the tracker has no B"),
         (lambda: _linear(F, H, Q, R).run(tw.series({"y": Z})), "z"),
         (lambda: _free(0.0).run(tw.series(Z, u=np.ones(40))), "has an input u, but the tracker has no function"),
-        (lambda: tw.series(Z, truth=Z), "expected truths by name"),
+        (lambda: tw.series(Z, truth=Z), "expected truth by part of the state, as"),
     ],
 )
 def test_what_does_not_fit_is_one_line(make, phrase):

@@ -416,7 +416,7 @@ def check_contradictions(recording: RecordingFolder, table: str) -> Iterator[Che
             cost = float(np.mean(np.log(np.where(np.isfinite(after), after, CONTRADICTED)[heard] + 0.05)))
             words = f"contradict each other by {factor * was:.2g}{unit}, and by {factor * most:.2g}{unit} {words}"
             found.append((round(cost, 2), len(found), "warning" if alone else "error", words))
-    if (large := typical > 2.0 * CONTRADICTED).any() and not found:
+    if (large := typical > 2.0 * CONTRADICTED).any() and not found:  # with no change to confirm it
         names = listed(compress(given.view.ids, large))
         words = f"of {names} contradict others of the same moment by {factor * typical.max():.3g}{unit}"
         found.append((0.0, 0, "warning", words))
