@@ -54,6 +54,7 @@ def broken_recording(seed: int, number: int, parent: Path) -> tuple[Path, str]:
     return folder, ", ".join(words)
 
 
+@np.errstate(over="ignore")
 def times(draw: Draw, frame: pl.DataFrame) -> pl.DataFrame:
     """Times of other units, backwards, equal, with a jump or not finite."""
     t = frame["t_s"].cast(pl.Float64, strict=False).fill_null(0.0).to_numpy()
