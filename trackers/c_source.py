@@ -143,8 +143,7 @@ def write_c(named: NamedTracker, recording: RecordingFolder, out: Path, double: 
     batches = named.batches(recording)
     if len(batches) > 1:
         raise UnusableInput(f"{recording.path}: its tags need {len(batches)} trackers; expected one; choose a --tag")
-    first = batches[0].trajectories[0].recording
-    name = _identifier(out.stem)
+    first, name = batches[0].trajectories[0].recording, _identifier(out.stem)
     source = c_source(batches[0].tracker, first, name, f"{named.name} for {recording.name}", double)
     rows = "".join(",".join(map(repr, row)) + "\n" for row in rows_of(first, source.columns).tolist())
     files = {out: source.body, out.with_name(f"{name}.h"): source.header, out.with_suffix(".csv"): rows}
@@ -186,8 +185,7 @@ class _Program:
     """Statements of C for the equations of a program; arrays are arrays of names and numbers."""
 
     def __init__(self, double: bool) -> None:
-        self.suffix = "" if double else "f"
-        self.real = "double" if double else "float"
+        self.suffix, self.real = ("", "double") if double else ("f", "float")
         self.lines: dict[str, tuple[str, str]] = {}
         self.seen: dict[str, str] = {}
 
@@ -199,8 +197,7 @@ class _Program:
             return _objects(x.val) if is_literal(x) else known[x]
 
         for equation in program.eqns:
-            inputs = [value(x) for x in equation.invars]
-            results = self.equation(equation, inputs)
+            results = self.equation(equation, [value(x) for x in equation.invars])
             known |= zip(equation.outvars, map(_objects, results), strict=True)
         return [value(x) for x in program.outvars]
 
