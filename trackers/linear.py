@@ -10,7 +10,7 @@ import inspect
 import warnings
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -34,10 +34,13 @@ from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.parts.fixes import correlated
 
 Matrix = Float[np.ndarray, "n n"] | Callable[..., Any] | tuple[Callable[..., Any], Mapping[str, float]]
-"""A covariance: an array; a function of `dt`, s; or a function of `dt` and numbers to tune, with their first values."""
+"""A covariance: an array; a function of `dt`, s; or a function of `dt` and numbers to tune, with their first values.
+
+One R holds for all rows, whatever `dt`: the argument is there for the same form."""
 
 SENSOR = "z"  # the name of the readings where there is one sensor alone
-DIFFUSE = 1e6  # variance of each component of the state where no `P0` is given
+# Variance of each component of the state where no `P0` is given, and the least of them in single precision.
+DIFFUSE, LEAST_DIFFUSE = 1e6, 1e3
 COARSE = 0.02  # rounding of the values of a series, in their changes from row to row, from which it counts
 RESOLVED = 2.0**15  # the most by which a reading reduces a variance in single precision, see `sequential_updates`
 
@@ -54,7 +57,7 @@ def linear(
     inputs (H: of the inputs alone), which `series` takes by name. u (T, k) is the input `u` of `series`. Several
     sensors: H and R by their names. Q, R: see `Matrix`; a full array is tuned as a covariance, a diagonal one by its
     standard deviations, a singular Q by a common factor, a function by its numbers. P0: by default 1e6 · I, in single
-    precision less where readings are so precise that it cannot hold both. `state`: names of parts of the
+    precision down to 1e3 · I where readings are so precise that it cannot hold both. `state`: names of parts of the
     state with their lengths in order, as {"position": 2, "velocity": 2}; metrics know `position`. Raises UnusableInput
     for shapes that do not fit.
     """
@@ -160,7 +163,8 @@ class _Function(eqx.Module):
 
     def entries(self, dt: Scalar) -> list[list[Scalar]]:
         """The covariance."""
-        array = jnp.asarray(self.function(dt, **{name: number.value for name, number in self.numbers.items()}))
+        numbers = {name: number.value for name, number in self.numbers.items()}
+        array = jnp.atleast_2d(jnp.asarray(_called(partial(self.function, **numbers), dt)))
         return [[array[i, j] for j in range(self.size)] for i in range(self.size)]
 
     def root(self, dt: Scalar) -> list[dict[int, Scalar]]:
@@ -215,7 +219,7 @@ class _Sensor(AbstractSensor):
         return [predicted[k] for k in range(self.size)]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
-        noise = self.R.entries(0.0)  # type: ignore[attr-defined]
+        noise = self.R.entries(1.0)  # type: ignore[attr-defined]
         for k, variance in enumerate(reading.reported):
             noise[k][k] = noise[k][k] + variance
         return correlated([z - p for z, p in zip(reading.values, predicted, strict=True)], noise, list(reading.seen))
@@ -261,7 +265,9 @@ def _tracker(
     known = {name: gain for name, gain in gains.items() if gain and not isinstance(noises[name], tuple | Callable)}
     least = min([np.diag(np.atleast_2d(noises[name])).min() / gain for name, gain in known.items()], default=np.inf)
     most = RESOLVED * least if jax.dtypes.canonicalize_dtype(float) == np.float32 else np.inf
-    cov = _covariance("P0", min(DIFFUSE, most) * np.eye(size) if P0 is None else P0, size)[0]
+    # A smaller one would take `x0` for known: single precision begins rather with some rows that are too uncertain.
+    diffuse = max(min(DIFFUSE, most), LEAST_DIFFUSE)
+    cov = _covariance("P0", diffuse * np.eye(size) if P0 is None else P0, size)[0]
     if P0 is not None and np.diag(cov).max() > most:
         found = f"P0 has a variance of {np.diag(cov).max():g}, beside readings with one of {least:.2g}"
         fix = f"give at most {most:.2g}, or jax.config.update('jax_enable_x64', True)"
@@ -275,9 +281,10 @@ def _noise(what: str, given: Matrix, size: int | None, role: Role) -> Any:
     """The noise of a covariance, as it is tuned."""
     function, numbers = given if isinstance(given, tuple) else (given, {})
     if callable(function):
-        shape = np.shape(function(1.0, **numbers))
-        _fits(what, shape, *[size or (shape or (1,))[0]] * 2)
-        return _Function({name: Scale(x, "1", role) for name, x in numbers.items()}, function, shape[0])
+        matrix, *_ = _covariance(what, function(1.0, **numbers), size)
+        if role == "measurement noise" and not np.allclose(matrix, floats(what, function(2.0, **numbers)), 1e-9, 0.0):
+            raise UnusableInput(f"{what} changes with dt; expected one R for all rows; give `series` a std by row")
+        return _Function({name: Scale(x, "1", role) for name, x in numbers.items()}, function, len(matrix))
     matrix, eigenvalues, vectors = _covariance(what, given, size)
     n, some, regular = len(matrix), np.flatnonzero(np.diag(matrix)).tolist(), eigenvalues[0] > 0.0
     if role == "measurement noise" and not regular:
@@ -330,8 +337,12 @@ def _product(what: str, matrix: Any, rows: int | str, columns: int | str = "k") 
 
 
 def _called(function: Callable[..., Any], *arguments: Any) -> Any:
-    """The function of as many of the arguments as it takes."""
-    return function(*arguments[: _taken(function)])
+    """The function of as many of the arguments as it takes; raises UnusableInput where NumPy's functions take them."""
+    try:
+        return function(*arguments[: _taken(function)])
+    except jax.errors.TracerArrayConversionError as error:
+        found = f"{getattr(function, '__name__', 'a function of Q or R')}: NumPy's functions of its arguments"
+        raise UnusableInput(f"{found}; expected those of jax.numpy, as jnp.array([[dt**3 / 3, …]])") from error
 
 
 def _taken(function: Callable[..., Any]) -> int:

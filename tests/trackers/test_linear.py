@@ -164,6 +164,9 @@ def test_a_singular_covariance_in_single_precision_may_be_indefinite_by_rounding
         (lambda: tw.linear(F, np.ones((1, 3)), Q, R), "H of z has shape"),
         (lambda: tw.linear(F, H, Q, [[0.0]]), "is singular; expected noise in every number"),
         (lambda: tw.linear(F, H, -Q, R), "expected a symmetric covariance"),
+        (lambda: tw.linear(F, H, lambda dt: dt * (jnp.ones((2, 2)) - jnp.eye(2)), R), "Q = .* positive semidefinite"),
+        (lambda: tw.linear(F, H, Q, lambda dt: jnp.array([[1 / dt]])), "R of z changes with dt; .* a std by row"),
+        (lambda: _linear(lambda dt: np.array([[1, dt], [0, 1]]), H, Q, R).run(tw.series(Z)), "of jax.numpy, as jnp.ar"),
         (lambda: tw.linear(F, {"a": H}, Q, R), "sensors a and R of z; expected the same names"),
         (lambda: tw.linear(F, H, Q, R, x0=[0.0]), "a state of 2 numbers"),
         (lambda: tw.linear(F, H, Q, R, state={"position": 3}), "a state of 2 numbers"),
@@ -202,6 +205,9 @@ def test_a_number_that_a_function_has_by_default_is_its_own():
 
 def test_single_precision_begins_with_a_variance_that_it_holds_beside_matrices():
     with jax.enable_x64(False):
-        of_matrices, of_functions = tw.linear(F, H, Q, R).start.upper[0], _free(0.0).start.upper[0]
+        trackers = tw.linear(F, H, Q, 1e-6), tw.linear(F, H, Q, R), _free(0.0)
+    precise, of_matrices, of_functions = (tracker.start.upper[0] for tracker in trackers)
     assert of_matrices == pytest.approx(2.0**15 * np.min(R) / np.max(np.square(H)), rel=1e-6)
+    # Less would take the state for known: a velocity of 1 m/s as 0 ± 0.02 beside an encoder.
+    assert precise == 1e3 < of_matrices
     assert of_functions == tw.linear(F, H, Q, R).start.upper[0] == 1e6

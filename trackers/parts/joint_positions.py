@@ -18,33 +18,14 @@ from trackwright.trackers.recordings.columns import TagRows
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.kinds import KINDS, Measured, wrapped
 
-SPACING_S, SOON_S, LATER_S = 0.2, 5.0, 1.0
-"""Time, s, between positions for a start, how long after the first row, and the time between later ones, for tracks
-that were lost."""
-
-RECENT = 16
-"""Readings of each kind that count, the latest."""
-
-CELLS = 8
-"""Cells of the grid along each side of the room."""
-
-STEPS = 8
-"""Gauss–Newton steps; the scales of the loss begin with the cells of the grid and halve to the kinds' own."""
-
-LARGEST_STD = 1.5
-"""Standard deviation, m, along the worst horizontal direction above which a position is not determined."""
-
-RIVAL = 2.0
-"""Difference of the losses of two places below which either may be the position."""
-
-APART = 1.0
-"""Horizontal distance, m, from which on two places are two."""
-
-BLOCK = 128
-"""Positions computed at once."""
-
-STEP_M = 1e-4
-"""Step of numerical derivatives, m."""
+# Time, s, between positions for a start, how long after the first row, and the time between later ones, for tracks that
+# were lost. The latest readings of each kind that count. Cells of the grid along each side of the room. Gauss–Newton
+# steps, whose scales of the loss begin with the cells of the grid and halve to the kinds' own.
+SPACING_S, SOON_S, LATER_S, RECENT, CELLS, STEPS = 0.2, 5.0, 1.0, 16, 8, 8
+# Standard deviation along the worst horizontal direction above which a position is not determined, m. Difference of the
+# losses of two places below which either may be the position, horizontal distance from which on two places are two, m.
+LARGEST_STD, RIVAL, APART = 1.5, 2.0, 1.0
+BLOCK, STEP_M = 128, 1e-4  # positions computed at once; step of numerical derivatives, m
 
 
 class Given(NamedTuple):
