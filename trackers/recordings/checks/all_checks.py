@@ -34,18 +34,16 @@ def _results(recording: RecordingFolder, full: bool, calibrated: bool = False) -
     # Wrong units or times are a mistake that is named already.
     sound = all(one.level != "error" for one in results)
     for name in measured if sound else ():
-        view = compared(recording, name)
-        if view is not None and not view.kind.numbered and view.large().any():
-            # What explains large errors is searched for where there are some.
-            from trackwright.trackers.recordings.checks.mistakes import check_mistakes
+        view, kind, before = compared(recording, name), KINDS[name], len(results)
+        # What explains large errors is searched for where there are some.
+        from trackwright.trackers.recordings.checks import mistakes
 
-            results += check_mistakes(view, calibrated)
-    for name in measured if "truth" not in tables and not calibrated else ():
-        sound = all(one.level != "error" for one in results)  # a height that is wrong contradicts all kinds
-        if sound and KINDS[name].sensors and KINDS[name].predicted and not KINDS[name].numbered:
-            from trackwright.trackers.recordings.checks.mistakes import check_contradictions
-
-            results += check_contradictions(recording, name)
+        if view is not None and not kind.numbered and view.large().any():
+            results += mistakes.check_mistakes(view, calibrated)
+        # A height that is wrong contradicts all kinds.
+        quiet = len(results) == before and all(one.level != "error" for one in results) and not calibrated
+        if quiet and kind.sensors and kind.predicted and not kind.numbered:
+            results += mistakes.check_contradictions(recording, name)
     # Heights are a part of the frame.
     if "truth" in tables and not any(one.level == "error" and "the truth" in one.message for one in results):
         results += rules.check_heights(rig, tables["truth"])

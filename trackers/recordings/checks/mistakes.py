@@ -118,6 +118,10 @@ def _changes(view: Compared) -> Iterator[Change]:
         read = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(axes, signs, strict=True))
         of = "height" if read == "x, y, -z" else ""
         yield _linear(f"x, y, z of the truth read as {read}", cause, "positions", signs, list(axes), of)
+    for one, other in combinations(view.tags if len(view.tags) <= MOST_PAIRED else (), 2):
+        words, cause = f"the truth of tags {one} and {other} exchanged", "their ids are mixed up; correct one of the tables"
+        tags = tuple({one: other, other: one}.get(tag, tag) for tag in view.tags)
+        yield Change(words, cause, lambda v, _, tags=tags: v._replace(tags=tags).later(0.0))
     yield from _exchanged(view) if kind.sensors and len(view.ids) <= MOST_SWAPPED else ()
     yield from _of_rig(view) if kind.sensors else ()
     yield from _of_truth(view)
@@ -125,13 +129,24 @@ def _changes(view: Compared) -> Iterator[Change]:
 
 def _of_rig(view: Compared) -> Iterator[Change]:
     """Orientations and positions of stations and anchors, and offsets of their readings."""
+    from scipy.spatial.transform import Rotation
+
     kind = view.kind
     if kind.angles:
         cause = "another orientation than rig.toml's, or another zero of the azimuth; correct rotation_wxyz or yaw_deg"
-        for sign, words, of in ((1.0, "", "offset"), (-1.0, "its sign flipped and ", "")):
-            apply = lambda v, x, s=sign: v.changed(values=v.values * [s, 1.0] - [np.radians(x[0]), 0.0])  # noqa: E731
-            turns = lambda _: np.arange(-180.0, 180.0, 5.0)[:, None]  # noqa: E731
-            yield Change(f"the azimuth {words}turned by {{:.0f}}°", cause, apply, True, of, turns, 15.0)
+        yaws = np.arange(-180.0, 180.0, 5.0)
+
+        def turned(v: Compared, x: Numbers) -> Compared:
+            return v.changed(axes=Rotation.from_rotvec(np.radians(x)).as_matrix() @ v.sensors.axes)
+
+        def flipped(v: Compared, x: Numbers) -> Compared:
+            return v.changed(values=v.values * [-1.0, 1.0] - [np.radians(x[0]), 0.0])
+
+        tilts = [[x, y, yaw] for yaw in yaws for x, y in ((0, 0), (30, 0), (-30, 0), (0, 30), (0, -30))]
+        words, whole = "the station turned by ({:.0f}, {:.0f}, {:.0f})° about x, y, z", lambda x: np.round(x) + 0.0
+        yield Change(words, cause, turned, True, "offset", lambda _: tilts, 15.0, shown=whole)
+        words = "the azimuth its sign flipped and turned by {:.0f}°"
+        yield Change(words, cause, flipped, True, "", lambda _: yaws[:, None], 15.0)
     if kind.unit == "m":
         cause = f"an offset of the {kind.name}, as of an uncalibrated antenna delay; calibrate the anchors"
         words, less = f"{{:+.2f}} m subtracted from the {kind.name}", lambda v, x: v.changed(values=v.values - x)
@@ -234,6 +249,7 @@ def _fitted(view: Compared, change: Change) -> Numbers:
 def check_mistakes(view: Compared, calibrated: bool = False) -> Iterator[CheckResult]:
     """An error for each likely mistake that is not `calibrated` away; a warning of a broken anchor or a small delay."""
     kind, before, limit, named = view.kind, view.sizes(), view.kind.sizes("large", len(view.columns)), False
+    whole = view.sizes(bias=False)
     large = unknown = view.large()
     while unknown.any():
         found = _found(view, [one for one in _changes(view) if one.each or not named], before, unknown, ~large)
@@ -248,15 +264,15 @@ def check_mistakes(view: Compared, calibrated: bool = False) -> Iterator[CheckRe
             change, numbers, worst = best.change, [best.change.shown(x) for x in best.numbers], best.groups & large
             words = listed(dict.fromkeys(change.words.format(*x) if len(x) else change.words for x in numbers))
             cause = change.cause.format(*numbers[0]) if len(numbers[0]) else change.cause
-            what = f"{_errors_of(view, worst, before, change.each)}, and {_typical(view, best.after[worst])}"
+            what = f"{_errors_of(view, worst, whole, change.each)}, and {_typical(view, best.after[worst])}"
             yield CheckResult("warning" if late else "error", kind.name, f"{what} with {words}: {cause}")
     if not named and unknown.all() and np.nanmedian(before / limit) > BROKEN:
-        what = f"{_errors_of(view, unknown, before, False)}, and no change explains them"
+        what = f"{_errors_of(view, unknown, whole, False)}, and no change explains them"
         yield CheckResult("warning", kind.name, f"{what}: compare places, frames and units")
     few = not named and 0 < unknown.sum() <= max(FEW * len(unknown), 1) < len(unknown)
     one, others = (float(np.nanmedian((before / limit)[part])) if few else 0.0 for part in (unknown, ~large))
     if kind.sensors and one > BROKEN * others:
-        what = f"{_errors_of(view, unknown, before)}, of the others {_typical(view, before[~large])}"
+        what = f"{_errors_of(view, unknown, whole)}, of the others {_typical(view, whole[~large])}"
         fix = "and no change explains them: wild or blocked readings, or a wrong place; measure there again"
         yield CheckResult("warning", kind.name, f"{what}, {fix}")
 
@@ -275,8 +291,10 @@ def _found(
             part, known = view.of_rows(of[view.group]), np.isfinite(before[of])
             x = _fitted(part, change)
             other = change.apply(part, x)
-            # A change with which the errors are unknown improves nothing.
+            # A change with which the errors are unknown improves nothing, nor a place where one value does as well.
             left = np.nan_to_num(other.sizes()[of], nan=1e9)
+            if change.of == "place":
+                left[:, left[0] > known_median(np.abs(part.values - known_median(part.values))) / 2] = 1e9
             fall = np.where(known, np.log(np.maximum(before[of], floor) / np.maximum(left, floor)), 0.0)
             matters = known & (np.fmax(before[of], left) > limit)
             least = FITTED_GAIN if change.each and len(x) else GAIN
@@ -284,7 +302,7 @@ def _found(
             mistaken = not len(x) or (np.abs(x) >= change.least).any()
             if enough and mistaken and _share(other) >= min(NEARLY, 0.9 * usual):
                 groups, gains = groups | of, gains + fall.sum() / known.sum() * of.sum()
-                after[of] = np.where(known, left, np.nan)
+                after[of] = other.sizes(bias=False)[of]
                 numbers.append(x)
         if groups.any() and not (change.of == "place" and groups.sum() > max(FEW * len(groups), 1)):
             cost = PENALTY * (1 + sum(map(np.count_nonzero, numbers))) - gains / len(unknown)
@@ -411,7 +429,7 @@ def check_contradictions(recording: RecordingFolder, table: str) -> Iterator[Che
         after, alone = np.abs(changed.errors()), words.startswith("without")
         left, was = changed.typical(after), typical[of].max()
         most = (left if alone else left[of]).max()
-        if was > least and most < was / FALL and np.mean(after[np.isfinite(after)] > CONTRADICTED) < FEW_LEFT:
+        if was > least and most < was / FALL and (after > CONTRADICTED).sum() < FEW_LEFT * np.isfinite(after).sum():
             # A reading without its sensor remains unexplained; of changes that do alike the first one is meant.
             cost = float(np.mean(np.log(np.where(np.isfinite(after), after, CONTRADICTED)[heard] + 0.05)))
             words = f"contradict each other by {factor * was:.2g}{unit}, and by {factor * most:.2g}{unit} {words}"

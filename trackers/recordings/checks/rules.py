@@ -23,8 +23,8 @@ C, DT, T, X, SIZE, BOUND = pl.col, pl.col("dt"), pl.col("t_s"), pl.col("x"), pl.
 # A step that is a jump of the clock and no gap, a year, s; reach of indoor radio, m; by how much heights are off by a
 # mistake, m; rows that cannot all have one time.
 JUMP_S, YEAR_S, FAR_M, OFF_M, LEAST_STAMPS = 1e7, 31_557_600.0, 500.0, 0.5, 10
-# Least jumps of outliers by unit, and sizes of gravity.
-LEAST_JUMP = {"m": 1.0, "mps": 10.0, "mps2": 40.0, "radps": 10.0}
+# Least jumps of outliers by unit, speed of a tag between two readings, m/s, and sizes of gravity.
+FAST_MPS, LEAST_JUMP = 3.0, {"m": 1.0, "mps": 10.0, "mps2": 40.0, "radps": 10.0}
 GRAVITY_IN = {9.81: "m/s²", 1.0: "multiples of g", 32.2: "ft/s²", 1e3: "thousandths of g or cm/s²", 9.81e3: "mm/s²"}
 
 
@@ -188,8 +188,9 @@ def check_rows(rig: Rig, tables: Tables) -> Results:
             yield from broken(ANOMALIES[3:], name, "truth", "step", rows.with_columns(x=step, bound=0.0))
         for column in values if name != "truth" else ():
             unit, x = column.rpartition("_")[2], C(column)
-            away = (x - x.rolling_median(15, center=True, min_samples=5)).abs().over("stream")
-            seen = rows.drop_nulls(column).with_columns(x=x, away=away, bound=LEAST_JUMP.get(unit, math.inf))
+            away = (x - x.rolling_median(5, center=True, min_samples=3)).abs().over("stream")
+            least = LEAST_JUMP.get(unit, math.inf) + FAST_MPS * DT.median() * (unit == "m")
+            seen = rows.drop_nulls(column).with_columns(x=x, away=away, bound=least)
             yield from broken(ANOMALIES[3:], name, column, unit, seen)  # angles are bounded
     yield from unobserved(rig, tables, "tag")
 
@@ -259,6 +260,10 @@ def check_clocks(measured: Tables, truth: pl.DataFrame | None) -> Results:
             message = f"{span(start, end)}, and {one} {span(first, last)}; {(start - first) / 3600:.4g} hours apart"
             yield CheckResult("error", name, f"{message}, {clocks}")
     if truth is not None:
+        within = int(truth["t_s"].is_between(*_ends(*measured.values())).sum())
+        if within <= LEAST_STAMPS < truth.height // 10:
+            message = f"{within} of {truth.height} rows lie in the time of the measurements, {span(*_ends(truth))}"
+            yield CheckResult("error", "truth", f"{message}: looks like another unit of time; convert it to seconds")
         spans = truth.group_by("tag").agg(start=T.min(), end=T.max())
         rows = pl.concat([table.select("t_s", "tag") for table in measured.values()]).join(spans, "tag", "left")
         share = float(rows.select(T.is_between("start", "end").fill_null(False).mean()).item())
