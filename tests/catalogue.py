@@ -258,15 +258,12 @@ class Case:
         return [self.add(t.recording) for t in trajectories(self.reads, self.free_height, self.source)]
 
 
-_MHK_IDLE = ("*.reported_std_scale",)
-"""Fixes that become medians lose the variances that the device reported."""
+_MHK_IDLE = ("*.reported_std_scale",)  # fixes that become medians lose the variances that the device reported
 
 
-_GRID_IDLE = ("filter.output_map.sigma_line",)
-"""The width of the line is part of reported covariances alone."""
+_GRID_IDLE = ("filter.output_map.sigma_line",)  # the width of the line is part of reported covariances alone
 
-_RESTING_IDLE = ("start.sigma_speed", *_GRID_IDLE)
-"""A tag that starts at rest has no speed."""
+_RESTING_IDLE = ("start.sigma_speed", *_GRID_IDLE)  # A tag that starts at rest has no speed
 
 
 def _ready_cases() -> Iterator[Case]:

@@ -30,11 +30,9 @@ from trackwright.experiments.lab.runner import recordings_folder, required_recor
 
 ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out" / "digests"
-COPIES = 3
-"""Of each trajectory of a case, so that many have the form of many."""
+COPIES = 3  # of each trajectory of a case, so that many have the form of many
 
-TUNED = 2
-"""How many numbers of a tracker are differentiated for."""
+TUNED = 2  # how many numbers of a tracker are differentiated for
 
 STUDIES = {
     "agv": ("rows = 60", ["fix-kf", "imm", "median"]),

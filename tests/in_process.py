@@ -17,8 +17,7 @@ from trackwright.experiments.pages import chart as style
 from trackwright.experiments.text import terminal
 from trackwright.trackers.core import programs
 
-PLAIN = ("--figures", "none")
-"""Options of a command whose pictures and pages a test does not look at."""
+PLAIN = ("--figures", "none")  # options of a command whose pictures and pages a test does not look at
 
 
 class CommandResult(NamedTuple):

@@ -25,11 +25,9 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 KEPT = Path(__file__).with_suffix(".json")
-MORE = 0.1
-"""By which share a path may take more instructions than kept."""
+MORE = 0.1  # by which share a path may take more instructions than kept
 
-TIMES = 4
-"""How often a path is counted: counts of the particle filter differ by 7 % between runs of the same code."""
+TIMES = 4  # how often a path is counted: counts of the particle filter differ by 7 % between runs of the same code
 
 
 def main() -> int:

@@ -6,8 +6,7 @@ import json
 
 from trackwright.trackers.recordings.files import atomic_write, json_text
 
-LINE = 1000
-"""Most characters of a line that holds a whole list or row."""
+LINE = 1000  # most characters of a line that holds a whole list or row
 
 
 def write_json(out, results) -> None:

@@ -27,8 +27,7 @@ from trackwright.trackers.core.programs import processor
 
 KEPT = Path(__file__).with_suffix(".json")
 CHANGES = Path(__file__).parents[1] / "CHANGELOG.md"
-SHOWN = 12
-"""Digits of a digest in the changelog."""
+SHOWN = 12  # digits of a digest in the changelog
 
 
 def main() -> int:

@@ -10,8 +10,7 @@ import trackwright as tw
 SCALE, DOF, LASTS = 0.1, 4.0, 3.0
 """Scale, m, and degrees of freedom of the errors, and the time, s, that lasting ones last."""
 
-SECONDS, RATE = 90.0, 4.0
-"""Duration of all walks of a survey, and epochs a second."""
+SECONDS, RATE = 90.0, 4.0  # duration of all walks of a survey, and epochs a second
 
 
 def on_walls(size, shares):

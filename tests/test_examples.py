@@ -14,8 +14,7 @@ from scipy.stats import chi2
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-LARGEST = 60_000
-"""Bytes of a picture of the gallery."""
+LARGEST = 60_000  # bytes of a picture of the gallery
 
 mpl.use("Agg")
 pytestmark = pytest.mark.slow

@@ -10,8 +10,7 @@ from trackwright.experiments.lab.runner import command
 
 OUT = Path("out/demo")
 REAL = Path(__file__).parent / "recordings"
-SIGMA_P = 0.2
-"""Phase noise of the simulated worlds, rad."""
+SIGMA_P = 0.2  # phase noise of the simulated worlds, rad
 
 WRONG_START = f"""# Three times the simulated phase noise.
 [tunables."sensors.*.sigma_p"]

@@ -17,11 +17,9 @@ from typing import Any, NamedTuple
 
 from trackwright.trackers.core.errors import UnusableInput
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-"""The checkout: the folder `trackwright` in it holds links."""
+REPOSITORY = Path(__file__).resolve().parents[2]  # the checkout: the folder `trackwright` in it holds links
 
-EVIDENCE = REPOSITORY / "docs" / "evidence"
-"""Where the tables are that pages quote."""
+EVIDENCE = REPOSITORY / "docs" / "evidence"  # where the tables are that pages quote
 
 KEY = ("recording", "tracker", "setting", "seed")
 """The first columns of every table, which name a case; the last is `error`."""

@@ -19,8 +19,7 @@ from trackwright.trackers.evaluation.rows import ANGLES, AXES, bearing_sizes, po
 SMALLEST, BIN_WIDTH, BINS = 1e-6, 0.02, 1201
 """Bins from 1e-6 to 2.6e4 (m, rad or NEES), of relative width BIN_WIDTH; other values fall in the end bins."""
 
-EDGES = SMALLEST * np.exp(BIN_WIDTH * np.arange(BINS))
-"""Upper edges of the bins."""
+EDGES = SMALLEST * np.exp(BIN_WIDTH * np.arange(BINS))  # upper edges of the bins
 
 
 def sums(

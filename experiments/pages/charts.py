@@ -42,8 +42,7 @@ MARKED, LEVELS = (50.0, 90.0, 95.0), {level: str(level) for level in (0, 25, 50,
 ELLIPSES, LARGE = 24, 3.0
 """The most ellipses of a floor plan, and the size in medians of those that are not drawn, as of a start."""
 
-WINDOW, WINDOWS = 20, 120
-"""The fewest rows of a mean of NEES or NIS over time, and the most means."""
+WINDOW, WINDOWS = 20, 120  # the fewest rows of a mean of NEES or NIS over time, and the most means
 
 WIDE: dict[str, Any] = {"width": 8.0, "height": 2.6}
 

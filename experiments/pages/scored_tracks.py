@@ -27,8 +27,7 @@ from trackwright.trackers.recordings.tracks_table import is_bearing
 AnyEstimates = Tracks | Estimates
 AnyRecording = RecordingFolder | Recording
 
-DRAWN = 4
-"""The most recordings with figures."""
+DRAWN = 4  # the most recordings with figures
 
 
 class Component(NamedTuple):

@@ -22,8 +22,7 @@ from trackwright.trackers.evaluation.evaluate import Evaluation
 from trackwright.trackers.evaluation.metrics import METRICS
 from trackwright.trackers.recordings.columns import float_column
 
-PAGE = "report.html"
-"""File in the output folder of `trackwright track`."""
+PAGE = "report.html"  # file in the output folder of `trackwright track`
 
 SCRIPTS = ("data", "formats", "plan", "polar", "overlay", "series", "playback", "main")
 """The page's own scripts, in the order in which they need each other."""
@@ -34,8 +33,7 @@ MOST_ROWS, MOST_TRACKS, MOST_POINTS, MOST_EVENTS = 25_000, 300, 12_000, 1_000
 MOST_RECORDINGS, MOST_LISTED = 60, 40
 """The most recordings of a page, and the most tracks in its table: those with the largest errors."""
 
-FAR_M = 500.0
-"""Distance from the origin, m, from which the page holds positions relative to another one."""
+FAR_M = 500.0  # distance from the origin, m, from which the page holds positions relative to another one
 
 STATUSES = ("ok", "waiting", "lost", "restarted", "non-finite")
 TYPES = {"t": "f8", "tag": "u2", "source": "u2", "status": "u1"}

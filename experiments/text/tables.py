@@ -130,8 +130,7 @@ def uncapitalised(text: str) -> str:
 SHOWN_TRACKS, SHOWN_RECORDINGS = 10, 5
 """The most tracks listed per recording, and recordings of an archive: the worst."""
 
-COLUMNS = tuple(metric for metric in METRICS.values() if metric.short)
-"""The metrics with a column, in their order."""
+COLUMNS = tuple(metric for metric in METRICS.values() if metric.short)  # the metrics with a column, in their order
 
 _STATISTICS = ("rmse", "mean", "median", "std", "min", "max")
 

@@ -27,14 +27,12 @@ from trackwright.trackers.line.motion import LineMotion, PathState
 from trackwright.trackers.line.tracker import FloorFixes
 from trackwright.trackers.parts.fixes import FIXES
 
-CORRIDOR = np.array([[0.0, 0.0], [6.0, 1.5]])
-"""Opposite corners of the corridor, m."""
+CORRIDOR = np.array([[0.0, 0.0], [6.0, 1.5]])  # opposite corners of the corridor, m
 
 START = np.array([[0.75, 0.45], [1.35, 1.05]])
 """Opposite corners of the rectangle, m, over which the initial position is uniform."""
 
-SIGMA_MOVE, SIGMA_FIX = 0.45, 0.8
-"""Standard deviations per axis, m: of the motion in one second, and of a fix."""
+SIGMA_MOVE, SIGMA_FIX = 0.45, 0.8  # standard deviations per axis, m: of the motion in one second, and of a fix
 
 CORRIDOR_TUNABLES = ("motion.sigma_v", "sensors.fixes.sigma_p")
 """The tunables of the corridor's tracker, in the order of the oracle's gradient."""

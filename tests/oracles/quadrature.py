@@ -25,8 +25,7 @@ from tests.oracles.particle_worlds import (
     halt_fixes,
 )
 
-CORRIDOR_POINTS = (64, 24)
-"""Quadrature points along and across the corridor."""
+CORRIDOR_POINTS = (64, 24)  # quadrature points along and across the corridor
 
 HALT_POINTS, HALT_DOMAIN = (192, 64), (12.0, 3.0)
 """Quadrature points and domain, m and m/s, along the line and over speeds; the tag stays far within the domain."""

@@ -15,8 +15,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 
 ROOM = np.array([9.0, 6.0])
 HEIGHT = 1.2
-LENGTH, TIME = 0.28, 7.5
-"""Way, m, and time, s, over which the lasting error decays."""
+LENGTH, TIME = 0.28, 7.5  # way, m, and time, s, over which the lasting error decays
 
 _TURN = np.sqrt(0.5)
 STATIONS = {

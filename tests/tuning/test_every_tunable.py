@@ -32,8 +32,7 @@ def test_a_number_without_effect_is_reported_as_that():
     ]
 
 
-UNTUNED = ("das", "moving-average", "median")
-"""Baselines without tunables."""
+UNTUNED = ("das", "moving-average", "median")  # baselines without tunables
 
 DIFFERENTIABLE = [
     pytest.param(case, id=name)

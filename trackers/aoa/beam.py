@@ -31,8 +31,7 @@ from trackwright.trackers.core.run.scan import Output
 from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import AbstractEpochwiseTracker, Tracker
 
-PHASES = "phases"
-"""The name of a station's phases in the recordings of a tracker of one station."""
+PHASES = "phases"  # the name of a station's phases in the recordings of a tracker of one station
 
 
 class Beam(NamedTuple):

@@ -92,20 +92,15 @@ def strongest(grid: Grid, spectrum: jax.Array) -> jax.Array:
     return jnp.asarray(grid.angles)[jnp.argmax(spectrum, axis=-1)]
 
 
-REACH = 2
-"""Grid steps from the centre of a block to its edge."""
+REACH = 2  # grid steps from the centre of a block to its edge
 
-BLOCKS = 16
-"""Blocks searched in every row."""
+BLOCKS = 16  # blocks searched in every row
 
-IN_FULL_AT_ONCE = 4
-"""Rows searched in full together."""
+IN_FULL_AT_ONCE = 4  # rows searched in full together
 
-IN_FULL_AT_MOST = 256
-"""On a GPU, where each takes half a megabyte."""
+IN_FULL_AT_MOST = 256  # on a GPU, where each takes half a megabyte
 
-MARGIN = 1.1
-"""Factor of the bound, since phases are not quite linear in the angles."""
+MARGIN = 1.1  # factor of the bound, since phases are not quite linear in the angles
 
 
 class Blocks(eqx.Module):

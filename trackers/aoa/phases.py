@@ -301,11 +301,9 @@ def arctangent(sine: Scalar, cosine: Scalar) -> Scalar:
     return jnp.where(sine < 0, -angle, angle)
 
 
-SPEED_OF_LIGHT = 299_792_458.0
-"""In vacuum, m/s."""
+SPEED_OF_LIGHT = 299_792_458.0  # in vacuum, m/s
 
-DEFAULT_WAVELENGTH = SPEED_OF_LIGHT / 24e9
-"""Of the paper's 24 GHz beacon, m."""
+DEFAULT_WAVELENGTH = SPEED_OF_LIGHT / 24e9  # of the paper's 24 GHz beacon, m
 
 DEFAULT_ANTENNAS = np.array(
     [

@@ -20,8 +20,7 @@ from trackwright.trackers.parts.start_nearby import AbstractPlaces, last_of_time
 MIN_INFORMATION = 0.02
 """Smallest eigenvalue of the information matrix, per ray (0 … ⅔), at which a point is determined."""
 
-WINDOW_S = 1.0
-"""How long a ray counts, s."""
+WINDOW_S = 1.0  # how long a ray counts, s
 
 MIN_RAYS, PATIENCE_S = 4, 1.0
 """Number of bearings for which a start waits, and for how long, s: two biased ones can meet outside the room."""

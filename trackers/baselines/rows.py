@@ -22,8 +22,7 @@ from trackwright.trackers.recordings.tracks import Trajectories, Trajectory
 if TYPE_CHECKING:
     from trackwright.trackers.baselines.floor import Walls
 
-COPLANAR = 0.5
-"""Largest difference between the heights of anchors that count as coplanar, m."""
+COPLANAR = 0.5  # largest difference between the heights of anchors that count as coplanar, m
 
 LATENCY_STD = 0.2
 """Standard deviation about zero, s, of a latency of fixes that nobody measured: as of delays from 0 to 0.35 s.
@@ -32,8 +31,7 @@ Of positions that another system computes, autopilots allow for 0 to 0.25 s (Ard
 (PX4, `EKF2_GPS_DELAY`, by default 0.11 s). A maker's manual (Marvelmind, 9.4) has 0.01 to 0.15 s, 2 s with averaging.
 """
 
-WINDOW = 9
-"""Rows of the moving windows, as in the paper's median (Huang et al. 2018, section 4)."""
+WINDOW = 9  # rows of the moving windows, as in the paper's median (Huang et al. 2018, section 4)
 
 
 def mirror_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:

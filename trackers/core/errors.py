@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-LONGEST = 3000
-"""Longest message, characters; the middle of a longer one, which quotes an input, is left out."""
+LONGEST = 3000  # longest message, characters; the middle of a longer one, which quotes an input, is left out
 
 UNIX_S, UNIX_MS = 1e8, 1e11
 """Times from `UNIX_S` on count from 1970, in s below `UNIX_MS`: no recording lasts the three years before."""

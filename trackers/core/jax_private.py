@@ -11,8 +11,7 @@ from typing import Any
 
 import jax
 
-MISSING = ImportError, AttributeError
-"""What is raised where a release of jax lacks a part."""
+MISSING = ImportError, AttributeError  # what is raised where a release of jax lacks a part
 
 CACHE = "jax._src.compilation_cache"
 

@@ -41,14 +41,11 @@ from jax.experimental import serialize_executable
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.jax_private import cache_opener, set_cache_opener, trace_settings
 
-VARIABLE = "TRACKWRIGHT_CACHE"
-"""The environment variable that names the directory, or is `off`."""
+VARIABLE = "TRACKWRIGHT_CACHE"  # the environment variable that names the directory, or is `off`
 
-LIMIT_BYTES = 512 * 2**20
-"""The most bytes of all programs; the least recently used are removed first."""
+LIMIT_BYTES = 512 * 2**20  # the most bytes of all programs; the least recently used are removed first
 
-CHECKED_EVERY = 16
-"""Programs written between two checks of the directory's size."""
+CHECKED_EVERY = 16  # programs written between two checks of the directory's size
 
 DIGEST_BYTES = 16
 FOLDER_PREFIX, PREFIX = "jaxlib-", "traced-"  # of a version's folder, and of the files of programs with the second key
@@ -290,8 +287,7 @@ OTHERS = ("builtins", "collections", "copyreg", "equinox", "functools", "jax", "
 KNOWN = tuple(f"{name}." for name in (*(f"trackwright.{x.replace('/', '.')}" for x in OURS), *OTHERS))
 """The packages whose classes and functions may occur in a key, since it has their text or version."""
 
-USERS_FILE = "trackwright_"
-"""Prefix of the modules that are files of users, which may replace any function of ours."""
+USERS_FILE = "trackwright_"  # prefix of the modules that are files of users, which may replace any function of ours
 
 
 def _key(function: Any, arguments: Any) -> bytes | None:

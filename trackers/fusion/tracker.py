@@ -29,8 +29,7 @@ from trackwright.trackers.parts.ranges import with_delay
 from trackwright.trackers.parts.start_nearby import AbstractNearbyStart
 from trackwright.trackers.uwb_imu.fusion import REACH
 
-START_STD = 1.5
-"""Standard deviation, m, of the position at a start, as of `bearings`."""
+START_STD = 1.5  # standard deviation, m, of the position at a start, as of `bearings`
 
 
 class FusedState(NamedTuple):

@@ -26,8 +26,7 @@ from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.state import State
 from trackwright.trackers.line.motion import HaltingMotion, LineMotion, PathOutputMap, PathState
 
-LAPS = 2
-"""Laps of a closed path, in either direction, over which the initial normal distribution is summed."""
+LAPS = 2  # laps of a closed path, in either direction, over which the initial normal distribution is summed
 
 NO_MASS = 1e-15  # a probability that does not count: a quotient of smaller ones has no derivative
 

@@ -27,8 +27,7 @@ from trackwright.trackers.recordings.tracks import (
     trajectories_of,
 )
 
-SIGMA_FIX = 0.3
-"""Standard deviation of a fix per axis, m; the raw error in the thesis is 0.39 m over both axes."""
+SIGMA_FIX = 0.3  # standard deviation of a fix per axis, m; the raw error in the thesis is 0.39 m over both axes
 
 CALIBRATED, OBSTRUCTED = (0.1, 3.0, 3.0), (0.06, 10.0, 4.0)
 """Scale, m, skew and degrees of freedom of range errors at sites with and without a calibration.
@@ -37,8 +36,7 @@ Where no calibration has taken it, obstruction makes an anchor's ranges too long
 stays at a place. A skew that takes all these ranges for independent has to be wide.
 """
 
-CLOSING_GAP = 0.05
-"""Largest gap between the ends of a closed path, as a fraction of its longest segment."""
+CLOSING_GAP = 0.05  # largest gap between the ends of a closed path, as a fraction of its longest segment
 
 
 def path_of(folder: RecordingFolder) -> Polyline:

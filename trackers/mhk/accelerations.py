@@ -128,8 +128,7 @@ def directions() -> tuple[np.ndarray, np.ndarray]:
     return np.stack(parts, axis=-1).reshape(-1, 3), np.repeat(height * step, AZIMUTHS)
 
 
-LIMITS = {4: 36.0, 8: 12.0}
-"""Largest κ, by the bytes of a number, with I₃₆(κ) < ε·I₀(κ)."""
+LIMITS = {4: 36.0, 8: 12.0}  # largest κ, by the bytes of a number, with I₃₆(κ) < ε·I₀(κ)
 
 
 def mean_acceleration(rings: Rings, displacement: Vector, half_square: Scalar, precision: Scalar) -> Vector:

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 
 from trackwright.trackers.core.model.inputs import AnyArray
 
-NETWORK = 16
-"""Most values sorted by a network of comparators, which XLA fuses; more are sorted by XLA's sort."""
+NETWORK = 16  # most values sorted by a network of comparators, which XLA fuses; more are sorted by XLA's sort
 
 
 def nan_median(values: AnyArray) -> jax.Array:

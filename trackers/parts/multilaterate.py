@@ -21,17 +21,14 @@ from trackwright.trackers.parts.median import nan_median
 from trackwright.trackers.parts.start_nearby import AbstractPlaces, last_of_times
 from trackwright.trackers.recordings.columns import first_not_before
 
-ITERATIONS = 20
-"""Gauss–Newton steps; with weights that change at every step, convergence is linear."""
+ITERATIONS = 20  # Gauss–Newton steps; with weights that change at every step, convergence is linear
 
 MIN_INFORMATION = 0.02
 """Smallest eigenvalue of the horizontal information matrix, per range (0 … ½), at which a position is determined."""
 
-FURTHEST = 10.0
-"""Residual, in scales of the loss, of the furthest range that a position agrees with."""
+FURTHEST = 10.0  # residual, in scales of the loss, of the furthest range that a position agrees with
 
-RIDGE = 1e-3
-"""Information, m⁻² at unit weight, added to every direction, so that unobservable ones stay finite."""
+RIDGE = 1e-3  # information, m⁻² at unit weight, added to every direction, so that unobservable ones stay finite
 
 
 class PositionFit(eqx.Module):
@@ -145,17 +142,13 @@ def inverse(matrix: list[list[Scalar]]) -> list[list[Scalar]]:
     return [[row[k] / determinant for row in rows] for k in range(3)]
 
 
-MEDIAN_RANGES = 5
-"""Number of an anchor's latest ranges in the median, which tolerates two outliers."""
+MEDIAN_RANGES = 5  # number of an anchor's latest ranges in the median, which tolerates two outliers
 
-WINDOWS_S = (1.0, 5.0)
-"""Windows of recent ranges, s, the shortest first."""
+WINDOWS_S = (1.0, 5.0)  # windows of recent ranges, s, the shortest first
 
-CAUCHY_SCALE = 0.3
-"""Cauchy scale, m: residuals beyond it are down-weighted."""
+CAUCHY_SCALE = 0.3  # Cauchy scale, m: residuals beyond it are down-weighted
 
-BLOCK, BLOCKS = 256, 16
-"""Times solved at once, few enough for the processor's cache, and blocks of them per call."""
+BLOCK, BLOCKS = 256, 16  # times solved at once, few enough for the processor's cache, and blocks of them per call
 
 
 class RangePlaces(AbstractPlaces):

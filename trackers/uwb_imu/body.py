@@ -173,11 +173,9 @@ ODOMETRY = Input(
 )
 """The input with the reading of the wheels that holds up to a row."""
 
-SLIP_S = 0.1
-"""How long a slip lasts, s: the velocity at a time has the mean error of so long."""
+SLIP_S = 0.1  # how long a slip lasts, s: the velocity at a time has the mean error of so long
 
-HOLD_S = 1.0
-"""Longest time for which a reading is held, s; after it the speed is unknown."""
+HOLD_S = 1.0  # longest time for which a reading is held, s; after it the speed is unknown
 
 
 class Wheels(eqx.Module):

@@ -39,11 +39,9 @@ from trackwright.trackers.uwb_imu.rows import anchors_of, bias_slots, lacks_rang
 from trackwright.trackers.uwb_imu.rows_between import imu_inputs, tilting_tags, to_level_axes, with_rows_between
 from trackwright.trackers.uwb_imu.strapdown import ARM
 
-GRAVITY = 9.81
-"""m/s²."""
+GRAVITY = 9.81  # m/s²
 
-MIN_ANCHORS = 3
-"""Least number of anchors for the tracker of ranges and an IMU."""
+MIN_ANCHORS = 3  # least number of anchors for the tracker of ranges and an IMU
 
 
 def inertial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterable[Trajectory]:

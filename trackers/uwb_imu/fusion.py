@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 MAX_BIASES = 16
 """Largest number of anchors with a bias each in the state; the cost of an epoch grows with its square."""
 
-REACH = 25.0
-"""Width, m, of the uniform distribution of a range that does not depend on the track."""
+REACH = 25.0  # width, m, of the uniform distribution of a range that does not depend on the track
 
 
 def range_tracker(

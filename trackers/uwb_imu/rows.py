@@ -16,8 +16,7 @@ from trackwright.trackers.recordings.named_tracker import TrackerSpec
 from trackwright.trackers.recordings.tracks import Trajectory
 from trackwright.trackers.uwb_imu.fusion import range_levels, range_tracker
 
-MAX_RANGE_RATIO = 20.0
-"""Largest plausible median range, as a multiple of the anchors' extent."""
+MAX_RANGE_RATIO = 20.0  # largest plausible median range, as a multiple of the anchors' extent
 
 
 def lacks_ranges(folder: RecordingFolder, rows: TagRows | None = None) -> str | None:

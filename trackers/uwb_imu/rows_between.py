@@ -61,11 +61,9 @@ def _with_zeros(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values, np.zeros((1, *values.shape[1:]), values.dtype)])
 
 
-HOLD_S = 0.2
-"""Longest time for which a sample is held, s; after it the row has no IMU."""
+HOLD_S = 0.2  # longest time for which a sample is held, s; after it the row has no IMU
 
-REST_WINDOW_S = 1.0
-"""Window of the test for rest, s."""
+REST_WINDOW_S = 1.0  # window of the test for rest, s
 
 REST_ACCEL_STD, REST_GYRO_STD = 0.15, 0.02
 """Largest standard deviations at rest, m/s² and rad/s: several times the noise of a MEMS IMU, below hand motion."""

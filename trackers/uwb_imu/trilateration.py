@@ -37,8 +37,7 @@ from trackwright.trackers.parts.multilaterate import PositionFit, multilaterate
 from trackwright.trackers.parts.ranges import ANCHORS, RANGES
 
 NO_ANCHORS = "True or False; anchors are in the recording"
-SOLVED_AT_ONCE = 64
-"""Rows of all trajectories solved side by side: operations on fewer numbers take as long."""
+SOLVED_AT_ONCE = 64  # rows of all trajectories solved side by side: operations on fewer numbers take as long
 
 
 class Multilateration(AbstractEpochwiseTracker):
@@ -209,8 +208,7 @@ def trilateration_tracker(compensated: bool = True, sigma_r: float = 0.1) -> Tri
     return Trilateration(Scale(sigma_r, "m"), RANGES, compensated)
 
 
-SPEED_OF_LIGHT = 299_792_458.0
-"""m/s; the paper rounds to 3e8, an error of 7 mm in ten metres."""
+SPEED_OF_LIGHT = 299_792_458.0  # m/s; the paper rounds to 3e8, an error of 7 mm in ten metres
 
 
 def single_sided(total: Any, reply: Any, drift: Any = 0.0) -> np.ndarray:

@@ -38,15 +38,13 @@ ESTIMATORS = {
     "gtsam": "with_gtsam:estimate",
 }  # fmt: skip
 """The function in `peers` of each."""
-LATER = ("dynamax", "gtsam")
-"""Those that use later readings."""
+LATER = ("dynamax", "gtsam")  # those that use later readings
 DEVELOPMENT = {
     "ranges": TRACKERS["uwb"].recordings, "bearings": TRACKERS["bearings"].recordings, "fixes": ("tiers-1tag-01",),
     "tdoa": ("util-c1-t1-tdoa2", "util-c1-t1-tdoa3", "util-c4-t5-tdoa2"),
 }  # fmt: skip
 GRIDS = {"fixes": ((0.3, 2.4, 24.0), (0.013, 0.05, 0.2))}
-USUAL = ((0.033, 0.1, 0.3, 0.9), (0.1, 0.2, 0.4, 0.8))
-"""m/s² per √Hz, and m or rad, of which all pairs are tried."""
+USUAL = ((0.033, 0.1, 0.3, 0.9), (0.1, 0.2, 0.4, 0.8))  # m/s² per √Hz, and m or rad, of which all pairs are tried
 SEARCHED, LIMIT_S, GROUPS = 600, 900.0, ("development", "unseen", "worlds")
 """Readings of a tag of a development recording that the search uses; the longest run of a peer for a pair of levels."""
 

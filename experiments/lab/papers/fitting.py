@@ -23,8 +23,7 @@ from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.recordings.files import atomic_write
 
 LAB = Path(__file__).parents[1]
-STEP = 0.05
-"""Of the forward differences by log parameters."""
+STEP = 0.05  # of the forward differences by log parameters
 
 
 class Fitted(NamedTuple):

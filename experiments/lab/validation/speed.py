@@ -69,8 +69,7 @@ def command(words: Sequence[str | Path], log: Path, environment: Mapping[str, st
 
 
 SIZES = (1, 64, 512)
-LARGE = (512, 16_384)
-"""Trajectories of a batch on a processor, and on a GPU."""
+LARGE = (512, 16_384)  # trajectories of a batch on a processor, and on a GPU
 
 READS = {
     "beam": "station",
@@ -91,8 +90,7 @@ LARGE_STATES = ("line-grid", "line-pf", "mhk")
 """Trackers that run forward alone; of these 64 trajectories are the most on a processor."""
 
 ON_GPU = ("beam", "uwb", "line-pf")
-ROWS = 40
-"""Times of each recording, or readings; `line` lasts for two minutes."""
+ROWS = 40  # times of each recording, or readings; `line` lasts for two minutes
 
 
 def program_cases() -> Iterator[Case]:

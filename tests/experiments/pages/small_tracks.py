@@ -13,8 +13,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 NASTY = "<script>document.title = 'stolen'</script>"
 TAGS = ("A", "B", NASTY)
 ANCHORS = {"1": (0.0, 0.0, 2.0), "2": (10.0, 0.0, 2.0), "10": (10.0, 8.0, 2.0), "11": (10.05, 8.0, 1.0)}
-BIAS = 0.25
-"""Bias of the ranges to anchor 2, m."""
+BIAS = 0.25  # bias of the ranges to anchor 2, m
 
 
 def small_tracks(rows: int = 80, tags: tuple[str, ...] = TAGS, seed: int = 1) -> ScoredTracks:

@@ -11,8 +11,7 @@ import pytest
 from tests.faulty import RIG, good_tables
 from tests.in_process import trackwright
 
-MARKUP = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"
-"""Text that a page has to escape."""
+MARKUP = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"  # text that a page has to escape
 
 
 def _named(name: str) -> str:

@@ -14,8 +14,7 @@ from trackwright.trackers.core.model.motion import ConstantPosition, Placed
 from trackwright.trackers.core.model.sensor import Reading
 from trackwright.trackers.core.model.tunable import Constant
 
-CORNER = [[0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]
-"""Two walls that meet at the origin."""
+CORNER = [[0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]  # two walls that meet at the origin
 
 
 def _crosses(walls, start, end):

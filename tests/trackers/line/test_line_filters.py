@@ -21,8 +21,7 @@ from trackwright.trackers.parts.fixes import FIXES
 pytestmark = pytest.mark.slow
 
 KEYS, ROWS, DT = 200, 12, 0.5
-PARTICLES = 4000
-"""With 1,000 the bias of 1/N is up to 6 mm, four standard errors of 200 keys."""
+PARTICLES = 4000  # with 1,000 the bias of 1/N is up to 6 mm, four standard errors of 200 keys
 
 LINE = Polyline([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.5, 1.0]])
 REPORT = PathOutputMap(LINE, Scale(1e-3, "m"))

@@ -23,8 +23,7 @@ Errors = Float[Any, "*rows d"]
 Covariances = Float[np.ndarray, "N d d"]
 Entries = Mapping[tuple[int, int], Float[Any, "*rows"]]
 
-NORMAL = 1.96
-"""Half the width of the central 95 % interval of a normal distribution, in standard deviations."""
+NORMAL = 1.96  # half the width of the central 95 % interval of a normal distribution, in standard deviations
 
 
 class Consistency(NamedTuple):

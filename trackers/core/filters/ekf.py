@@ -52,14 +52,11 @@ from trackwright.trackers.core.model.motion import AbstractMotion
 from trackwright.trackers.core.model.sensor import AbstractSensor, Reading
 from trackwright.trackers.core.model.state import State, component_names, coordinates, local_after, retract
 
-SPREAD = 3.0
-"""Standard deviations of the position within which a reading's bend adds to the noise."""
+SPREAD = 3.0  # standard deviations of the position within which a reading's bend adds to the noise
 
-ANY = (1.0, 0.6, 0.35)
-"""Any combination of the axes of the position, of which what the others leave is taken."""
+ANY = (1.0, 0.6, 0.35)  # any combination of the axes of the position, of which what the others leave is taken
 
-BENT = 0.2
-"""Variance of what a reading bends, over its linear part's, above which it counts."""
+BENT = 0.2  # variance of what a reading bends, over its linear part's, above which it counts
 
 
 class AbstractExtendedKalman(AbstractSmoothableFilter[Gaussian]):

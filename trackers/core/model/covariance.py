@@ -33,8 +33,7 @@ from trackwright.trackers.core.model.algebra import (
 )
 from trackwright.trackers.core.model.state import State
 
-FEW = 8
-"""Most trajectories whose covariances are matrices; docs/performance.md has the times of both forms."""
+FEW = 8  # most trajectories whose covariances are matrices; docs/performance.md has the times of both forms
 
 AnyCovariance = tuple[Scalar, ...] | jax.Array
 """A covariance: its upper triangle, entry by entry, or its matrix (n, n)."""
@@ -63,8 +62,7 @@ def compiler_options(trajectories: int) -> dict[str, Any]:
     return {"xla_cpu_experimental_ynn_fusion_type": "", **extra_options(extra)}
 
 
-MOST = 4096
-"""Most trajectories of a turn on a GPU: enough to occupy it, few enough for its memory."""
+MOST = 4096  # most trajectories of a turn on a GPU: enough to occupy it, few enough for its memory
 
 
 def side_by_side(on_cpu: int, size: int) -> int:

@@ -12,11 +12,9 @@ from trackwright.trackers.core.model.algebra import Scalar, Vector, total
 from trackwright.trackers.core.model.rig import checked_knots
 from trackwright.trackers.core.model.state import wrap
 
-FEW = 16
-"""Most segments for which a position is a sum over the joins; with more, its segment is looked up."""
+FEW = 16  # most segments for which a position is a sum over the joins; with more, its segment is looked up
 
-LOOK_UP = "scan_unrolled"
-"""Binary search, unrolled: fast on accelerators and for batches of particles."""
+LOOK_UP = "scan_unrolled"  # binary search, unrolled: fast on accelerators and for batches of particles
 
 
 class Polyline(eqx.Module):

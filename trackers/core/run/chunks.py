@@ -25,8 +25,7 @@ from trackwright.trackers.core.run.scan import Output
 
 Tree = TypeVar("Tree")
 
-CHUNK = 512
-"""Trajectories per chunk: enough to amortise the overhead of a step, few enough for the cache."""
+CHUNK = 512  # trajectories per chunk: enough to amortise the overhead of a step, few enough for the cache
 
 
 FEW_LARGE, FEW_GRADIENTS = 40, (16, 64)
@@ -35,8 +34,7 @@ FEW_LARGE, FEW_GRADIENTS = 40, (16, 64)
 There the program of few compiles in a half to a quarter of the time, and a row costs as much or less.
 """
 
-LARGE, LARGE_IN_GRADIENTS = 15, 10
-"""Noises of a motion from which on the state counts as large."""
+LARGE, LARGE_IN_GRADIENTS = 15, 10  # noises of a motion from which on the state counts as large
 
 LONG = 1000
 """Rows from which on these run one by one, which costs least; a call takes a millisecond, as long as hundreds of rows.

@@ -24,8 +24,7 @@ from trackwright.trackers.core.model.inputs import Elapsed
 from trackwright.trackers.core.model.linearise import linearise
 from trackwright.trackers.core.model.state import State, component_names, coordinates, local_after
 
-LONGEST_S = 1e4
-"""Longest gap, s, in elapsed times; across longer ones truth is scored only where it hardly changes."""
+LONGEST_S = 1e4  # longest gap, s, in elapsed times; across longer ones truth is scored only where it hardly changes
 
 
 def shifted_back(

@@ -28,8 +28,7 @@ ROOM = Input(
 )
 """The input with the horizontal box that a tag cannot leave."""
 
-SIGMAS = 3.0
-"""Standard deviations outside the room at which a track is lost."""
+SIGMAS = 3.0  # standard deviations outside the room at which a track is lost
 
 
 class AbstractTrackLoss(eqx.Module):
@@ -87,8 +86,7 @@ class TrackLossPolicy(AbstractTrackLoss):
 PRICE = 0.2
 """Evidence, nats, that each reading costs another place, so that one which explains no readings is given up."""
 
-BLUR = 3.0
-"""Factor on the errors of readings at another place, which lags behind a tag that moves."""
+BLUR = 3.0  # factor on the errors of readings at another place, which lags behind a tag that moves
 
 WILD, READINGS = (0.02, 0.5), 50.0
 """Least and largest share of wild readings, and the number of readings over which it is estimated."""

@@ -118,10 +118,10 @@ def _changes(view: Compared) -> Iterator[Change]:
         read = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(axes, signs, strict=True))
         of = "height" if read == "x, y, -z" else ""
         yield _linear(f"x, y, z of the truth read as {read}", cause, "positions", signs, list(axes), of)
-    for one, other in combinations(view.tags if len(view.tags) <= MOST_PAIRED else (), 2):
-        words, cause = f"the truth of tags {one} and {other} exchanged", "their ids are mixed up; correct one of the tables"
+    for one, other in combinations(sorted(view.tags) if len(view.tags) <= MOST_PAIRED else (), 2):
+        words, cause = f"the truth of tags {one} and {other} exchanged", "their ids are mixed up; correct one table"
         tags = tuple({one: other, other: one}.get(tag, tag) for tag in view.tags)
-        yield Change(words, cause, lambda v, _, tags=tags: v._replace(tags=tags).later(0.0))
+        yield Change(words, cause, lambda v, _, to=tags: v._replace(tags=to).later(0.0))  # type: ignore[misc]
     yield from _exchanged(view) if kind.sensors and len(view.ids) <= MOST_SWAPPED else ()
     yield from _of_rig(view) if kind.sensors else ()
     yield from _of_truth(view)

@@ -9,8 +9,7 @@ from scipy.optimize import least_squares
 
 Path = tuple[np.ndarray, np.ndarray | None]
 """Positions (N, d), m, and covariances (N, d, d), m², at the times of the readings."""
-EPOCH_S, LEAST = 5e-3, 6
-"""Readings no farther apart are of one state of a batch; the fewest readings of a start."""
+EPOCH_S, LEAST = 5e-3, 6  # readings no farther apart are of one state of a batch; the fewest readings of a start
 
 
 @dataclass(frozen=True)

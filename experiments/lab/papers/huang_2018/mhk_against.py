@@ -18,8 +18,7 @@ SIGMA_A = 0.3
 MHK = {"fusion.motion.sigma_a": SIGMA_A}
 CLOSER_M = 0.007
 CLOSER = MHK | {"fusion.filter.sigma_displacement": CLOSER_M}
-WORTH_MM = 0.1
-"""An improvement of a hundredth of the smallest standard deviation of a fix, 0.8 cm."""
+WORTH_MM = 0.1  # an improvement of a hundredth of the smallest standard deviation of a fix, 0.8 cm
 
 NOISES = {"5 cm": "", "0.7 cm": ", 0.7 cm"}
 """Noise of a displacement, which the paper does not print, and the suffix of its trackers.

@@ -21,8 +21,7 @@ from trackwright.trackers.mhk.tracker import STILL
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 ROUTE = Route()
-LASTING_S = 10.0
-"""Time constant of the drift; far longer than the median's window, which therefore passes it."""
+LASTING_S = 10.0  # time constant of the drift; far longer than the median's window, which therefore passes it
 
 
 def workshop(

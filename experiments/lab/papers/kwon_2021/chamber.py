@@ -18,8 +18,7 @@ from trackwright.sim.ranging import Protocol, RangeDraw, chamber
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 PLACES = {f"tag at ({x:g}, {y:g})": (x, y, 1.8) for x in (0.0, 5.0) for y in (0.0, 5.0)}
-SIDE, TURN = 5.0, np.deg2rad(15.0)
-"""Side of the anchors' square, m, and its angle to the tags' square, rad."""
+SIDE, TURN = 5.0, np.deg2rad(15.0)  # side of the anchors' square, m, and its angle to the tags' square, rad
 
 PROTOCOL = Protocol(sigma_stamp=fitted("papers/kwon_2021/table_4")["sigma_stamp"])
 ROWS = 100

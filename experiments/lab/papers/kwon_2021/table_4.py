@@ -24,8 +24,7 @@ TAG = np.array([2.7, 2.7, 1.8])
 RATE_HZ, SCORED, SETTLING = 40.0, 380, 300
 WINDOW = 4
 ONE_SIDE = (0, 1)
-SIGMA_ACCEL, SIGMA_RANGE = 0.001, 0.007
-"""m/s²/√Hz and m."""
+SIGMA_ACCEL, SIGMA_RANGE = 0.001, 0.007  # m/s²/√Hz and m
 
 SPREADS_MM = {"raw": (34.6, 49.9), "moving average": (18.4, 31.7), "Kalman": (15.0, 26.2), "proposed": (10.8, 18.4)}
 """Table 4, largest less smallest: x and y, mm."""

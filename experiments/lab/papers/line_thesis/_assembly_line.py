@@ -48,8 +48,7 @@ RECORDINGS, COLUMNS = tuple(PRINTED), ("raw", "Kalman", "particle")
 MEASUREMENT_NOISE = 0.392
 """Average error of all measurements, m; the measurement noise of the thesis's filters (chapter 3)."""
 
-BEYOND = 10.0
-"""Extension of the last segment, m; the last case of (2.5) has no upper end."""
+BEYOND = 10.0  # extension of the last segment, m; the last case of (2.5) has no upper end
 
 SIGMA = "motion.sigma_a"
 SWEPT = (0.06, 0.09, 0.13, 0.18, 0.25, 0.35)

@@ -15,8 +15,7 @@ from trackwright.experiments.lab.papers.line_thesis import _assembly_line as lin
 SWEPT = (0.01, 0.03, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.6, 1.0)
 WORLDS = ("situation 1, set 2", "situation 2, set 2", "situation 3, set 2")
 BOTH = ("Kalman", "particle")
-NEAR = 1.05
-"""Ratio to the least error up to which the curve counts as flat."""
+NEAR = 1.05  # ratio to the least error up to which the curve counts as flat
 
 
 def expected(results: mc.Results) -> Iterator[mc.Claim]:

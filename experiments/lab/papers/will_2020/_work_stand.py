@@ -117,8 +117,7 @@ PRINTED_BEAM = built(
 CASCADE = mc.TrackerConfig("cascade", {f"beams.*.{name}": level for name, level in BEAM.tunables.items()})
 """The paper's cascade, with default levels in its fusion."""
 
-DIRECT = mc.TrackerConfig("direct", {"sensors.*.sigma_p": NUMBERS["sigma_p"]})
-"""The filter from phases to position."""
+DIRECT = mc.TrackerConfig("direct", {"sensors.*.sigma_p": NUMBERS["sigma_p"]})  # the filter from phases to position
 
 HALF_BOX = np.array([0.04, 0.02])
 SMALLEST_SPACING = DEFAULT_WAVELENGTH / 2

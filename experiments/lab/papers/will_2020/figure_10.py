@@ -13,8 +13,7 @@ from trackwright.experiments.text.expectations import listed
 
 NONE = "all stations"
 LOST = {k: f"station {k} lost" for k in (1, 2, 3)}
-SETTLED = 20
-"""Points of the helix after which the fusion has settled, a tenth of them."""
+SETTLED = 20  # points of the helix after which the fusion has settled, a tenth of them
 
 
 def _rmse(rows: slice, axes: slice) -> Callable[[mc.TrackedRuns], np.ndarray]:

@@ -65,22 +65,17 @@ STUDY = mc.Study(
     expected=expected,
 )
 
-RADIUS = 0.27
-"""Approximate radius of the stations from Figure 8, m; the table hardly depends on it."""
+RADIUS = 0.27  # approximate radius of the stations from Figure 8, m; the table hardly depends on it
 
-SIGMA_A = 0.3
-"""Chosen, rad/s², about the beacon's own on the helix; at 0.5 some tracks of the weakest sets diverge."""
+SIGMA_A = 0.3  # chosen, rad/s², about the beacon's own on the helix; at 0.5 some tracks of the weakest sets diverge
 
 STARTS, ROUNDS, RUNS, FRESH = 4, 8, 64, 400
 SEED, FRESH_SEED = 1, 2
-LEFT = 4.0
-"""Ratio to the printed error above which a track counts as diverged."""
+LEFT = 4.0  # ratio to the printed error above which a track counts as diverged
 
-STEPS = np.array([0.1] * 16 + [0.03])
-"""Steps of the differences: mm, and log phase noise."""
+STEPS = np.array([0.1] * 16 + [0.03])  # steps of the differences: mm, and log phase noise
 
-WEIGHTS = np.array([1.0] * 16 + [0.1])
-"""Scale of each parameter in the norm of a step."""
+WEIGHTS = np.array([1.0] * 16 + [0.1])  # scale of each parameter in the norm of a step
 
 
 def numbers_of(free: np.ndarray) -> dict[str, float]:

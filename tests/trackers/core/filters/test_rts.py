@@ -17,8 +17,7 @@ from trackwright.trackers.core.run.track_loss import TrackLossPolicy
 from trackwright.trackers.core.run.tracker import Tracker
 
 LANES, ROWS, LAG, SIGMA_A = 4, 12, 0.9, 0.7
-FEW, MANY = 1, 16
-"""Copies of the lanes: covariances as matrices, and as scalars that are smoothed in two blocks."""
+FEW, MANY = 1, 16  # copies of the lanes: covariances as matrices, and as scalars that are smoothed in two blocks
 
 
 def _state(x):

@@ -23,11 +23,9 @@ Tree = TypeVar("Tree")
 Weights = Float[Array, " N"]
 """Weights of N particles, or their logarithms."""
 
-LOG_ZERO = -1e30
-"""The log-weight of a particle of weight zero; finite, so that sums over particles stay finite."""
+LOG_ZERO = -1e30  # the log-weight of a particle of weight zero; finite, so that sums over particles stay finite
 
-RESAMPLED_AT_ONCE = 8
-"""Trajectories whose particles are resampled together."""
+RESAMPLED_AT_ONCE = 8  # trajectories whose particles are resampled together
 
 
 @jax.custom_jvp
