@@ -66,7 +66,7 @@ def fitted(tracker: NamedTracker, recording: RecordingFolder) -> OwnLevels:
     if against:
         return OwnLevels(tracker, f"{recording.name}: levels stay: {against}")
     names = [name for p in result.parameters for name in p.names]
-    moved = [f"{n} {_short(before[n].value)} → {_short(now[n].value)} {now[n].unit}".rstrip() for n in names]
+    moved = [f"{n} {_short(before[n].value)} → {_short(now[n].value)} {now[n].unit}".removesuffix(" 1") for n in names]
     return OwnLevels(result.tracker, f"{recording.name}: fitted to its readings: {', '.join(moved)}")
 
 

@@ -28,8 +28,8 @@ from trackwright.trackers.recordings.kinds import KINDS
 
 # Log ratios of errors: price of a change and of each number, least gain, and that of numbers for one sensor. Errors
 # left, in those that need no explanation, and share of rows below three of these; ratio of errors from which a sensor
-# is broken, share of sensors that may be broken or misplaced.
-PENALTY, GAIN, FITTED_GAIN, EXPLAINED, NEARLY, BROKEN, FEW = 0.06, 0.65, 1.0, 2.0, 0.75, 10.0, 0.34
+# is broken, share of sensors that may be broken or misplaced; errors of all that are told without an explanation.
+PENALTY, GAIN, FITTED_GAIN, EXPLAINED, NEARLY, BROKEN, FEW, UNEXPLAINED = 0.06, 0.65, 1.0, 2.0, 0.75, 10.0, 0.34, 3.0
 # Readings of the first search, starts that go on, ratio of errors of fits that do alike; most sensors, and the sum of
 # log ratios, of an exchange. Delays: least beside a frame, most that is tracked, most that is tried.
 COARSE, STARTS, ALIKE, MOST_SWAPPED, CLEAR, LEAST_CLOCK_S, LATENCY_S, LONGEST_S = 240, 5, 1.2, 32, 1.5, 0.05, 1.0, 60.0
@@ -266,12 +266,13 @@ def check_mistakes(view: Compared, calibrated: bool = False) -> Iterator[CheckRe
             cause = change.cause.format(*numbers[0]) if len(numbers[0]) else change.cause
             what = f"{_errors_of(view, worst, whole, change.each)}, and {_typical(view, best.after[worst])}"
             yield CheckResult("warning" if late else "error", kind.name, f"{what} with {words}: {cause}")
-    if not named and unknown.all() and np.nanmedian(before / limit) > BROKEN:
+    over, few = np.fmax.reduce(before / limit, axis=1), unknown.sum() <= max(FEW * len(unknown), 1) < len(unknown)
+    if named or not unknown.any():
+        return
+    if unknown.all() and np.nanmedian(over) > UNEXPLAINED:
         what = f"{_errors_of(view, unknown, whole, False)}, and no change explains them"
-        yield CheckResult("warning", kind.name, f"{what}: compare places, frames and units")
-    few = not named and 0 < unknown.sum() <= max(FEW * len(unknown), 1) < len(unknown)
-    one, others = (float(np.nanmedian((before / limit)[part])) if few else 0.0 for part in (unknown, ~large))
-    if kind.sensors and one > BROKEN * others:
+        yield CheckResult("warning", kind.name, f"{what}: compare places, frames, units, times and tags")
+    elif kind.sensors and few and np.nanmedian(over[unknown]) > BROKEN * np.nanmedian(over[~large]):
         what = f"{_errors_of(view, unknown, whole)}, of the others {_typical(view, whole[~large])}"
         fix = "and no change explains them: wild or blocked readings, or a wrong place; measure there again"
         yield CheckResult("warning", kind.name, f"{what}, {fix}")
@@ -371,12 +372,11 @@ class Moments(NamedTuple):
 
 def _moments(recording: RecordingFolder, table: str) -> Moments:
     """Moments of tags in which so many anchors or stations are heard that they can contradict each other."""
-    view, tags = readings_of(recording, table), recording.rig.tags
+    view = readings_of(recording, table)
     number, of_tags = view.sensors.number, np.split(view.times, np.flatnonzero(np.diff(view.tag)) + 1)
     window = 1.5 * len(view.ids) * float(np.median([np.ptp(t) / len(t) for t in of_tags]))
-    heights = np.array([getattr(tags.get(tag), "height", None) for tag in view.tags], float)[view.tag]
     values = np.where(view.kind.columns[0].positive & ~(view.values > 0.0), np.nan, view.values)
-    at = {"at": np.floor(view.times / min(max(window, 0.1), 1.0)), "tag": view.tag, "height": heights}
+    at = {"at": np.floor(view.times / min(max(window, 0.1), 1.0)), "tag": view.tag, "height": view.heights[view.tag]}
     at |= {"pair": number @ len(view.ids) ** np.arange(number.shape[1]), "row": np.arange(len(number))}
     # One reading of each anchor, station or pair.
     each = pl.DataFrame(at)[np.flatnonzero(np.isfinite(values).any(axis=1))].unique(["tag", "at", "pair"])

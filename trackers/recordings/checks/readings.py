@@ -25,7 +25,8 @@ class Compared(NamedTuple):
     """Readings of a table and what predicts them, a group (anchor or station; of fixes, tag) together.
 
     `group` (N,), not decreasing, and `tag` (N,): numbers in `ids` and in `tags`. A difference is in the groups of both
-    its anchors, in the second one's with the other sign. `positions` (N, 3) m: the true ones.
+    its anchors, in the second one's with the other sign. `positions` (N, 3) m: the true ones, with the known `heights`
+    of tags, NaN where unknown, for a truth without.
     """
 
     kind: Kind
@@ -39,6 +40,7 @@ class Compared(NamedTuple):
     positions: Float[np.ndarray, "N 3"]
     sensors: Sensors
     paths: TruePaths
+    heights: Float[np.ndarray, " tags"]
 
     def changed(self, **fields: Any) -> Compared:
         """The same readings with other fields, of these or of the sensors."""
@@ -58,6 +60,7 @@ class Compared(NamedTuple):
         """The readings beside the true positions of `delay` seconds before, NaN where there are none."""
         starts = np.concatenate([[0], np.flatnonzero(np.diff(self.tag)) + 1, [len(self.tag)]])
         positions, _ = self.paths.at([self.tags[k] for k in self.tag[starts[:-1]]], starts, self.times - delay)
+        positions[:, 2] = np.where(np.isnan(positions[:, 2]), self.heights[self.tag], positions[:, 2])
         return self._replace(positions=positions)
 
     def turned(self, yaw: float, centre: Float[np.ndarray, " 3"], to: Float[np.ndarray, " 3"]) -> Compared:
@@ -88,8 +91,9 @@ def readings_of(recording: RecordingFolder, table: str) -> Compared:
     rows, kind = recording.rows(table), KINDS[table]
     measured, tag, tags = kind.measured(recording.rig, rows), rows.of_each(np.arange(len(rows.tags))), tuple(rows.tags)
     ids, group = (measured.ids, measured.sensors.number[:, 0]) if kind.sensors else (tags, tag)
-    at = rows.times, measured.values, np.full((len(tag), 3), np.nan)
-    return Compared(kind, ids, tags, measured.columns, group, tag, *at, measured.sensors, recording.paths)
+    at, known = (rows.times, measured.values, np.full((len(tag), 3), np.nan)), recording.rig.tags
+    heights = np.array([getattr(known.get(tag), "height", None) for tag in tags], float)
+    return Compared(kind, ids, tags, measured.columns, group, tag, *at, measured.sensors, recording.paths, heights)
 
 
 def compared(recording: RecordingFolder, table: str) -> Compared | None:

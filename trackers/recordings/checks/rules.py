@@ -249,21 +249,20 @@ def check_clocks(measured: Tables, truth: pl.DataFrame | None) -> Results:
     """Errors: streams whose rows all have one time, tables far in time from the first, and a truth of another time."""
     clocks = "as two time zones, or clocks of different zeros; expected one: add the difference to t_s of one by import"
     one, (first, last) = next(iter(measured)), _ends(next(iter(measured.values())))
-    for name, table in measured.items():
+    for name, table in (measured if truth is None else {**measured, "truth": truth}).items():
         of_stream = table.group_by(table_kinds()[name].layout(table.columns).ids).agg(n=pl.len(), times=T.n_unique())
         if stuck := of_stream.filter((C("times") == 1) & (C("n") >= LEAST_STAMPS))["n"].sum():
             message = f"{stuck} rows have one time per sensor and tag: the stamps have lost their digits"
             yield CheckResult("error", name, f"{message}; export them again with fractions of a second")
-        start, end = _ends(table)
+        (start, end), within = _ends(table), int(table["t_s"].is_between(first, last).sum())
+        if within <= LEAST_STAMPS < table.height // 10 and end - start > 20.0 * (last - first) > 0.0:
+            message = f"{span(start, end)}, and {one} {span(first, last)}, in which {within} of {table.height} rows lie"
+            yield CheckResult("error", name, f"{message}: looks like another unit of time, expected seconds")
         # One sensor may be switched on after another was switched off.
-        if max(start - last, first - end) > max(10.0 * (last - first + end - start), 600.0):
+        elif max(start - last, first - end) > max(10.0 * (last - first + end - start), 600.0) and name != "truth":
             message = f"{span(start, end)}, and {one} {span(first, last)}; {(start - first) / 3600:.4g} hours apart"
             yield CheckResult("error", name, f"{message}, {clocks}")
     if truth is not None:
-        within = int(truth["t_s"].is_between(*_ends(*measured.values())).sum())
-        if within <= LEAST_STAMPS < truth.height // 10:
-            message = f"{within} of {truth.height} rows lie in the time of the measurements, {span(*_ends(truth))}"
-            yield CheckResult("error", "truth", f"{message}: looks like another unit of time; convert it to seconds")
         spans = truth.group_by("tag").agg(start=T.min(), end=T.max())
         rows = pl.concat([table.select("t_s", "tag") for table in measured.values()]).join(spans, "tag", "left")
         share = float(rows.select(T.is_between("start", "end").fill_null(False).mean()).item())
