@@ -215,8 +215,6 @@ class NamedTracker:
 
     def smoothing(self, lag: float | None = None) -> NamedTracker:
         """This tracker, smoothed by all later rows or `lag` seconds of them; raises UnusableInput where it cannot."""
-        if lag is not None and not 0 < lag < 1e6:
-            raise UnusableInput(f"lag {lag}: expected seconds above zero; leave it out to use the whole recording")
         smoother = replace(self, smoothed=True, lag=lag)
         smoother._finished(self.tracker)
         return smoother

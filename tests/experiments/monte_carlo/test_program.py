@@ -49,9 +49,9 @@ def test_the_program_sums_what_recordings_give(world, tracker, numbers, **config
         assert ours[name].sum() == expected[name].sum()
 
 
-@pytest.mark.parametrize("config", [{"smooth": True}, pytest.param({"every": 3.0}, marks=SLOW)])
-def test_a_smoothed_or_thinned_tracker_has_a_program_too(config):
-    test_the_program_sums_what_recordings_give("line", "fix-kf", LINE, **config)
+@pytest.mark.parametrize("config", [{"smooth": True}, pytest.param({"every": 0.3}, marks=SLOW)])
+def test_a_smoothed_or_thinned_tracker_has_a_program_too_where_readings_are_lost(config):
+    test_the_program_sums_what_recordings_give("fusion", "bearings", {"rows": 12, "lost": 0.4}, **config)
 
 
 @pytest.mark.parametrize(

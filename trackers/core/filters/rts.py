@@ -181,9 +181,8 @@ def fixed_lag(
     def trajectory(gains: Any, filtered: Any, dt: Any) -> Any:
         first = jnp.arange(len(dt), dtype=jnp.int32)
         times = Elapsed.of(jnp.concatenate([jnp.zeros_like(dt[:1]), dt]), 2 * lag)
-        # The last step of each window; the slack makes 0.1 s + 0.2 s equal 0.3 s.
-        slack = 4 * jnp.finfo(dt.dtype).eps * lag
-        end = times.last_within(jnp.broadcast_to(lag + slack, times.whole.shape))[:-1]
+        # The last step of each window; times since 1970 in double precision are rounded to a quarter of a microsecond.
+        end = times.last_within(jnp.broadcast_to(lag + 1e-6, times.whole.shape))[:-1]
         # The windows take the place of the trajectories.
         gains, filtered = jax.tree_util.tree_map(lambda x: jnp.moveaxis(x, 0, -1), (gains, filtered))
         initial = jax.tree_util.tree_map(lambda x: x[..., end], filtered)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.data.recording import Batch
-from trackwright.trackers.core.errors import require
+from trackwright.trackers.core.errors import UnusableInput, require
 from trackwright.trackers.core.filters.filter import AbstractSmoothableFilter
 from trackwright.trackers.core.filters.rts import fixed_interval, fixed_lag, in_scalars
 from trackwright.trackers.core.model.algebra import Scalar, triangle
@@ -39,6 +39,9 @@ class Smoothed(AbstractEpochwiseTracker):
         require(
             isinstance(self.tracker, AbstractTracker), "Smoothed", self.tracker, "a tracker, as Smoothed(fix_tracker())"
         )
+        lag = self.lag if isinstance(self.lag, float | int) else None  # not where it is traced
+        if lag is not None and not 0 < lag < 1e6:
+            raise UnusableInput(f"lag {lag}: expected seconds above zero; leave it out to use the whole recording")
         if not (isinstance(self.tracker, Tracker) and isinstance(self.tracker.filter, AbstractSmoothableFilter)):
             raise TypeError("Kalman filters and their mixtures have a smoother; chains, particles and grids have none")
 
@@ -59,8 +62,11 @@ class Smoothed(AbstractEpochwiseTracker):
         _, output, state = scan_rows(tracker, batch, initial, moments=lambda belief: (belief, ()))
         filtered = output.mean
         usable = (output.status == Status.OK) | (output.status == Status.RESTARTED)
-        connected = usable[:-1] & (output.status[1:] == Status.OK)
-        # No time passes in padding rows: the windows of a fixed lag sum over all time steps.
+        # Padding, which drawn trajectories have within, keeps the belief of the row before it, and no time passes in it.
+        padding = output.status == Status.PADDING
+        latest = jax.lax.cummax(jnp.where(padding, 0, jnp.arange(len(padding), dtype=jnp.int32)[:, None]))
+        runs = jnp.take_along_axis(usable, latest, axis=0)[:-1]
+        connected = runs & (padding[1:] | (output.status[1:] == Status.OK))
         elapsed = jnp.where(jnp.asarray(batch.valid), batch.dt, 0.0)
         dt, inputs = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[1:], (elapsed, batch.inputs))
 
