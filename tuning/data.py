@@ -50,8 +50,8 @@ def trajectory_weights(
 
 
 def _rows(batch: Batch, needs_truth: bool) -> Float[np.ndarray, " B"]:
-    """The number of rows of each trajectory that an objective counts."""
-    counted = np.asarray(batch.valid)
+    """The number of rows of each trajectory that an objective counts, none of one without any reading."""
+    counted = np.asarray(batch.valid) & np.any([np.any(x.seen, axis=(0, 1)) for x in batch.readings.values()], axis=0)
     if needs_truth and batch.truth:
         counted = counted & np.any([np.asarray(known) for _, known in batch.truth.values()], axis=0)
     return counted.sum(axis=0).astype(float)

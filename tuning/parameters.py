@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import fnmatch
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Bool, Float, Shaped
 
-from trackwright.trackers.core.errors import UnusableInput
+from trackwright.trackers.core.errors import UnusableInput, require
 from trackwright.trackers.core.model.tunable import (
     AbstractGiven,
     AbstractTunable,
@@ -235,11 +235,16 @@ def by_label(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -
 
 
 def physical_errors(
-    parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"], cov: Float[np.ndarray, "p p"]
-) -> list[np.ndarray]:
-    """Standard errors of the physical values, by the delta method from the covariance of the unconstrained vector."""
-    jacobians = jax.jacfwd(lambda v: physical(parameters, v))(jnp.asarray(vector))
-    return [np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", j, cov, j), 0)) for j in map(np.asarray, jacobians)]
+    parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"], cov: Float[np.ndarray, "p p"],
+    missing: Bool[np.ndarray, " p"],
+) -> list[np.ndarray]:  # fmt: skip
+    """Standard errors of the physical values, by the delta method from the covariance of the unconstrained vector.
+
+    NaN for values that depend on a `missing` number, as both entries of a covariance on one of its factor.
+    """
+    jacobians = map(np.asarray, jax.jacfwd(lambda v: physical(parameters, v))(jnp.asarray(vector)))
+    errors = ((j, np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", j, cov, j), 0))) for j in jacobians)
+    return [np.where((j[..., missing] != 0).any(axis=-1), np.nan, e) for j, e in errors]
 
 
 PriorKind = Literal["sites", "flat"]
@@ -274,6 +279,7 @@ class Prior(NamedTuple):
 
         Flat where `kind` is, for matrices, and for the levels of `trackers.linear`, which no site tells.
         """
+        require(kind in get_args(PriorKind), "fit", kind, "the prior 'sites' or 'flat'")
         spreads = [np.full(p.size, np.inf if kind == "flat" else _spread(p)) for p in parameters]
         return cls(flatten(parameters), np.concatenate([np.zeros(0), *spreads]) ** -2.0)
 

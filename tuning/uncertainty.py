@@ -25,7 +25,7 @@ from scipy.special import ndtri, stdtrit
 
 from trackwright.trackers.core.model.tunable import Covariance
 from trackwright.tuning.objectives import AbstractObjective
-from trackwright.tuning.parameters import Parameter, physical, physical_errors, split
+from trackwright.tuning.parameters import Parameter, physical, physical_errors
 from trackwright.tuning.problem import Evaluation, Problem, value_and_gradient
 
 MIN_CURVATURE = 1e-5  # curvature of a direction, relative to the largest, below which it is undetermined: rounding
@@ -79,10 +79,9 @@ class Uncertainty:
             both = [self.standard_errors("curvature"), self.standard_errors("scatter")]
             return {label: np.fmax(*(errors[label] for errors in both)) for label in both[0]}
         cov = self.observed if by == "curvature" else self.sandwich
-        errors = physical_errors(self.parameters, self.optimum.vector, np.nan_to_num(cov))
         missing = self.undetermined | self.at_bound | np.isnan(np.diagonal(cov)) | (not self.at_optimum)
-        parts = zip(errors, split(self.parameters, missing), strict=True)
-        return {p.label: np.where(m, np.nan, e) for e, (p, m) in parts}
+        errors = physical_errors(self.parameters, self.optimum.vector, np.nan_to_num(cov), missing)
+        return {p.label: e for e, p in zip(errors, self.parameters, strict=True)}
 
     def intervals(self, level: float = 0.95, by: By = "either") -> dict[str, Interval]:
         """Lowest and highest physical value by label; symmetric in the logarithm of a Scale, the odds of a Fraction.

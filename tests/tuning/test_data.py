@@ -127,6 +127,10 @@ def test_the_rows_of_every_recording_add_up_to_the_same():
     np.testing.assert_allclose(np.concatenate(found), [145 / 30, 145 / 260, 145 / 260])
     equal = trajectory_weights([stack(walks([50, 50, 50], 1))], [["a", "b", "c"]], needs_truth=False)
     assert equal[0].tolist() == [1.0] * 3
+    made = walks([50, 50], 1)
+    made[1].readings["gauge"] = dataclasses.replace(made[1].readings["gauge"], seen=np.zeros((50, 1), bool))
+    (found,) = trajectory_weights([stack(made)], [["a", "b"]], needs_truth=False)
+    assert found[0] == 1.0
 
 
 def test_rows_with_truth_count_where_the_objective_judges_them():

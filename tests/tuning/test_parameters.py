@@ -59,8 +59,10 @@ def test_standard_errors_of_physical_values_match_those_of_drawn_vectors():
     root = 1e-3 * rng.normal(size=(8, 8))
     draws = vector + rng.normal(size=(20_000, 8)) @ root.T
     drawn = jax.vmap(lambda v: physical(parameters, v))(jnp.asarray(draws))
-    errors = physical_errors(parameters, vector, root @ root.T)
+    errors = physical_errors(parameters, vector, root @ root.T, np.zeros(8, bool))
     for error, values in zip(errors, drawn, strict=True):
         # 20,000 draws know a standard deviation to half a percent; the curvature at 1e-3 adds less
         np.testing.assert_allclose(error, np.std(values, axis=0), rtol=0.03)
     assert [e.shape for e in errors] == [(), (2,), (), (2, 2)]
+    *_, of_matrix = physical_errors(parameters, vector, root @ root.T, np.arange(8) == 6)  # its factor's lower entry
+    assert np.isnan(of_matrix).tolist() == [[False, True], [True, True]]

@@ -62,7 +62,7 @@ class Smoothed(AbstractEpochwiseTracker):
         _, output, state = scan_rows(tracker, batch, initial, moments=lambda belief: (belief, ()))
         filtered = output.mean
         usable = (output.status == Status.OK) | (output.status == Status.RESTARTED)
-        # Padding, which drawn trajectories have within, keeps the belief of the row before it, and no time passes in it.
+        # Padding, which drawn trajectories have within, keeps the belief of the row before, and no time passes in it.
         padding = output.status == Status.PADDING
         latest = jax.lax.cummax(jnp.where(padding, 0, jnp.arange(len(padding), dtype=jnp.int32)[:, None]))
         runs = jnp.take_along_axis(usable, latest, axis=0)[:-1]
