@@ -109,7 +109,8 @@ STILL = "do not move with the truth.*use --align none, or origin"
 @pytest.mark.parametrize(
     ("own", "options", "words"),
     [
-        (SPIRAL.with_columns(pl.col("t_s") + 99.0), {}, "no pose lies within 0.01 s.*with -99 both begin together"),
+        (SPIRAL.with_columns(pl.col("t_s") + 99.0), {}, "no pose lies near in time.*with -99 both begin together"),
+        (SPIRAL.with_columns(pl.col("t_s") * 1000 + 7e4), {}, "looks like another unit of time; convert it to seconds"),
         (LINE, {"align": "se3"}, "on a line"),
         (SPIRAL, {"align": "twist"}, "expected one of"),
         (SPIRAL.drop("z_m"), {"align": "se3"}, "has no height"),

@@ -61,9 +61,11 @@ def _of_tables(recording: RecordingFolder, measured: Mapping[str, pl.DataFrame])
     yield from rules.check_rates(tables)
     yield from rules.unobserved(rig, measured, "anchor", "station")
     yield from rules.check_geometry(rig, measured)
-    if "fixes" in tables and (tags := rules.without_height(rig, tables["fixes"])):
-        message = f"neither z_m nor height_m in rig.toml: {len(tags)} of the tags ({listed(map(repr, tags))})"
-        yield CheckResult("warning", "fixes", f"{message}; track refuses them: give height_m under [tags.{tags[0]}]")
+    alone = {"bearings": ("azimuth_rad", "elevation_rad")} if {*measured} == {"bearings"} else {}
+    for name, (seen, height) in ({"fixes": ("x_m", "z_m")} | alone).items():
+        if name in tables and (tags := rules.without_height(rig, tables[name], seen, height)):
+            message = f"neither {height} nor height_m in rig.toml: {len(tags)} of the tags ({listed(map(repr, tags))})"
+            yield CheckResult("warning", name, f"{message}; track needs one: give height_m under [tags.{tags[0]}]")
     for name in measured:
         if (share := recording.streams(name).repeated_share) >= 0.01:
             message = f"repeated readings: {share:.0%} of the rows equal the previous row of the same tag and sensor"

@@ -261,7 +261,8 @@ def check_mistakes(view: Compared, calibrated: bool = False) -> Iterator[CheckRe
         # Heights of fixes are often of no use, or mirrored in the plane of the anchors; their filter makes them late.
         flat = of == "height" or (of == "frame" and np.abs(x[[0, 1, 2, 4]]).max() < 0.4) or (late and x[4] > 0)
         if not (kind.position and flat) and not (calibrated and of == "offset"):
-            change, numbers, worst = best.change, [best.change.shown(x) for x in best.numbers], best.groups & large
+            change, numbers = best.change, [best.change.shown(x) for x in best.numbers]
+            worst = best.groups & large if change.each else best.groups
             words = listed(dict.fromkeys(change.words.format(*x) if len(x) else change.words for x in numbers))
             cause = change.cause.format(*numbers[0]) if len(numbers[0]) else change.cause
             what = f"{_errors_of(view, worst, whole, change.each)}, and {_typical(view, best.after[worst])}"
@@ -282,10 +283,10 @@ def _found(
     view: Compared, tried: Sequence[Change], before: np.ndarray, unknown: np.ndarray, sound: np.ndarray
 ) -> Iterator[Found]:
     """The changes that explain the errors of all readings, or those of some of the groups that are `unknown`."""
-    usual = _share(view.of_rows(sound[view.group])) if sound.any() else 1.0
+    usual, whole = _share(view.of_rows(sound[view.group])) if sound.any() else 1.0, view.sizes(bias=False)
     floor, limit = view.kind.sizes("floor", before.shape[1]), view.kind.sizes("large", len(view.columns))
     for change in tried:
-        groups, gains, numbers, after = np.zeros(len(unknown), bool), 0.0, list[np.ndarray](), np.array(before)
+        groups, gains, numbers, after = np.zeros(len(unknown), bool), 0.0, list[np.ndarray](), np.array(whole)
         # Places of anchors and of tags have enough freedom to take up a part of any error.
         most = limit if change.of == "place" else EXPLAINED * limit
         for of in np.eye(len(unknown), dtype=bool)[unknown] if change.each else [~groups]:
@@ -302,10 +303,15 @@ def _found(
             enough = matters.any() and fall[matters].mean() >= least and (left <= most)[known].mean() >= NEARLY
             mistaken = not len(x) or (np.abs(x) >= change.least).any()
             if enough and mistaken and _share(other) >= min(NEARLY, 0.9 * usual):
-                groups, gains = groups | of, gains + fall.sum() / known.sum() * of.sum()
-                after[of] = other.sizes(bias=False)[of]
+                # The more errors fall that a sensor may have of its own, the better is the change, too.
+                groups, after[of] = groups | of, other.sizes(bias=False)[of]
+                fall = np.log(np.maximum(whole[of], floor) / np.maximum(after[of], floor))
+                gains += np.nansum(fall) / known.sum() * of.sum()
                 numbers.append(x)
-        if groups.any() and not (change.of == "place" and groups.sum() > max(FEW * len(groups), 1)):
+        # A cause in single sensors leaves most others without errors.
+        most = max(FEW * len(groups), 1) if change.of == "place" else len(groups)
+        others = change.each and 2 * (unknown & ~groups).sum() > len(groups)
+        if groups.any() and groups.sum() <= most and not others:
             cost = PENALTY * (1 + sum(map(np.count_nonzero, numbers))) - gains / len(unknown)
             yield Found(cost, change, groups, numbers, after)
 
@@ -318,9 +324,9 @@ def _share(view: Compared) -> float:
 
 
 def _typical(view: Compared, sizes: np.ndarray) -> str:
-    """The typical size of the largest errors of groups."""
-    unit, factor = view.kind.shown
-    return f"{significant(factor * float(np.nanmedian(np.fmax.reduce(sizes, axis=1))), 2)}{unit}"
+    """The typical size of the largest errors of groups, of positions also over the floor."""
+    (unit, factor), over = view.kind.shown, np.hypot(*sizes.T[:2]) if view.kind.position else np.nan
+    return f"{significant(factor * float(np.nanmedian(np.fmax(np.fmax.reduce(sizes, axis=1), over))), 2)}{unit}"
 
 
 def _errors_of(view: Compared, groups: np.ndarray, sizes: np.ndarray, named: bool = True) -> str:

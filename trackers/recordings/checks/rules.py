@@ -311,8 +311,8 @@ def check_geometry(rig: Rig, tables: Tables) -> Results:
                 yield CheckResult("info" if good else "warning", "rig.toml", f"the {noun}s are {what}")
 
 
-def without_height(rig: Rig, fixes: pl.DataFrame) -> list[str]:
-    """The tags of fixes without any z and without a known height."""
-    some = fixes.group_by("tag", maintain_order=True).agg(C("x_m", "z_m").is_not_null().any())
-    lacking = some.filter(C("x_m") & ~C("z_m"))["tag"]
+def without_height(rig: Rig, table: pl.DataFrame, seen: str = "x_m", height: str = "z_m") -> list[str]:
+    """The tags of a table with values in a column `seen`, but none of `height`, and without a known height."""
+    some = table.group_by("tag", maintain_order=True).agg(C(seen, height).is_not_null().any())
+    lacking = some.filter(C(seen) & ~C(height))["tag"]
     return [tag for tag in lacking if tag not in rig.tags or rig.tags[tag].height is None]

@@ -102,7 +102,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "ranges in millimetres": Case("error", "looks like centimetres, millimetres or another frame", with_columns("ranges", R * 1000)),
         "fixes in millimetres": Case("error", "fixes: typical distance from the rig", with_columns("fixes", XYZ * 1000)),
         "fixes without a height": Case(
-            "warning", "fixes: neither z_m nor height_m in rig.toml: 1 of the tags ('T2'); track refuses them: give height_m under [tags.T2]",
+            "warning", "fixes: neither z_m nor height_m in rig.toml: 1 of the tags ('T2'); track needs one: give height_m under [tags.T2]",
             with_columns("fixes", z_m=pl.lit(None, pl.Float64)),
         ),
         "acceleration in thousandths of g": Case(
@@ -158,6 +158,8 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "truth of another walk": Case("warning", "and no change explains them", together(only("ranges", "truth"), with_columns("truth", x_m=6 + 4 * (T * 0.83).cos(), y_m=4 + 2.5 * (T * 0.61).sin()))),
         "axes of a truth without heights": Case("error", "read as y, x, z", together(only("ranges", "truth"), with_columns("truth", x_m=Y, y_m=X, z_m=pl.lit(None, pl.Float64)))),
         "truths exchanged": Case("error", "the truth of tags T and U exchanged", _crossed),
+        "an offset that turns heights": Case("error", "with +1.3", together(only("ranges", "truth"), with_columns("ranges", R + 1.25))),
+        "truth that stands still": Case("warning", "no change explains them", together(only("ranges", "truth"), with_columns("truth", x_m=3.0 + 0 * X, y_m=3.0 + 0 * Y))),
         "truth in milliseconds": Case("error", "in which 1 of 300 rows lie: looks like another unit of time", with_columns("truth", T * 1000)),
         "one time for all rows": Case("error", "lost their digits", with_columns("ranges", t_s=pl.lit(5.0))),
         "a clock that jumps by years": Case("warning", "the clock jumps by 52.", with_columns("ranges", t_s=T + pl.when(T > 30).then(1.66e9).otherwise(0.0)), False),
@@ -175,6 +177,9 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
         "an anchor elsewhere": Case("warning", "without anchor A2", together(only("ranges"), _anchor("A2", (6.0, -6.0, 2.4)))),
         "half a second": Case("info", "from 0 to 0.4 s", lambda one: replace(one, tables={k: t.filter(T < 0.5) for k, t in one.tables.items()})),
         "an offset of all": Case("error", "m subtracted: an offset of the ranges", with_columns("ranges", R + 1.5)),
+        "azimuths alone without a height": Case(
+            "warning", "neither elevation_rad nor height_m", together(height(None), only("bearings"), with_columns("bearings", elevation_rad=pl.lit(None, pl.Float64))),
+        ),
         "azimuths the other way": Case("error", "the sign of the azimuth flipped", together(only("bearings"), with_columns("bearings", -AZ))),
     }),
     "differences": (differences, {
