@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 COMMENT = "# Written by `trackwright tune`; read by `trackwright track --noise`.\n"
 
 
-def write_tuned(path: Path, content: Mapping[str, Any]) -> Path:
-    """Write the content of `tuned_content`."""
+def write_tuned(path: Path | str, content: Mapping[str, Any]) -> Path:
+    """Writes a tuned.toml of plain numbers: `tracker`, and `tunables`, a `value` and `unit` by name."""
     text = COMMENT + tomli_w.dumps(content)
-    return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return atomic_write(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def tuned_content(
@@ -100,9 +100,9 @@ class Tuned(BaseModel):
         return named.with_values(self.values, path)
 
 
-def read_tuned(path: Path) -> Tuned:
+def read_tuned(path: Path | str) -> Tuned:
     """The tracker and the values by name; raises UnusableInput for a file that `tune` did not write."""
-    return read_model(path, Tuned, "the tuned.toml of `trackwright tune`", "write it with `trackwright tune`")
+    return read_model(Path(path), Tuned, "the tuned.toml of `trackwright tune`", "write it with `trackwright tune`")
 
 
 def parse_values(texts: Sequence[str], option: str) -> dict[str, Any]:

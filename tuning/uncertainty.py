@@ -38,8 +38,7 @@ Interval = tuple[np.ndarray, np.ndarray]  # lowest and highest value
 Mask = Bool[np.ndarray, " p"]  # which of p numbers
 Square = Float[np.ndarray, "p p"]
 
-By = Literal["curvature", "scatter", "either"]
-"""Source of an interval: the posterior, the sandwich, or the wider of the two."""
+By = Literal["curvature", "scatter", "either"]  # source of an interval: posterior, sandwich, or the wider of the two
 
 
 @dataclass(frozen=True)

@@ -76,14 +76,10 @@ def test_correlated_errors_are_named_with_the_number_of_rows_that_they_count_for
     assert 4.0 < factor < max(WINDOWS_S) / 0.1
 
 
-def _world():
-    return [*walks([300, 200], 1), *walks([250], 2, sigma=0.5)]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("objective", ["nll", StateLogLikelihood(dimensions=1)])
 def test_the_values_without_a_recording_are_those_of_a_fit_to_the_others(objective):
-    made = _world()
+    made = [*walks([300, 200], 1), *walks([250], 2, sigma=0.5)]
     flat = tw.FitOptions(prior="flat")
     every = tw.fit(line_tracker(), made, objective, LEVELS, flat)
     found = left_out_values(every)

@@ -64,7 +64,7 @@ def found_placement(recording: RecordingFolder) -> tuple[list[float], str]:
     """
     view = next((view for table in KINDS if (view := compared(recording, table)) is not None), None)
     if view is None:
-        fix = "import some of the same tag on about the same clock first, a height_m for a truth without z, or --transform"
+        fix = "import some of the same tag on about its clock first (a truth without z needs height_m), or --transform"
         raise UnusableInput(f"--align-truth: {recording.name}: no measurement at the times of the truth; {fix}")
     centre, kept = view.positions.mean(axis=0), ""
 

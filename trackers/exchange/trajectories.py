@@ -264,8 +264,9 @@ def compare_trajectories(
     estimate: pl.DataFrame, truth: pl.DataFrame, align: Alignment = "none", time_offset: float = 0.0,
     tolerance: float = 0.01, rpe: Sequence[str] = STEPS, *, name: str = "estimate",
 ) -> TrajectoryErrors:  # fmt: skip
-    """The errors of an estimated trajectory, as evo defines them: of poses at most `tolerance`, s, apart, or, where none
-    are, at most half a step of the finer times.
+    """The errors of an estimated trajectory, as evo defines them: of poses at most `tolerance`, s, apart.
+
+    Where none are so near, of those at most half a step of the finer times apart.
 
     Tables of one tag with t_s, x_m, y_m and, where known, z_m, qw … qz. `align`: see `alignment`. `time_offset`: s,
     added to the times of the estimate. `rpe`: steps as 1m, 1s or 10f (rows). Relative errors are of displacements in
@@ -277,8 +278,8 @@ def compare_trajectories(
     times = own.times + time_offset
     rows, true_rows = associate(times, true.times, tolerance)
     if not len(rows):
-        step = min(float(np.median(np.diff(x))) if len(x) > 1 else 0.0 for x in (times, true.times))
-        rows, true_rows = associate(times, true.times, tolerance := round(step / 2 + 6e-4, 3))
+        finer = min(float(np.median(np.diff(x))) if len(x) > 1 else 0.0 for x in (times, true.times))
+        rows, true_rows = associate(times, true.times, tolerance := round(finer / 2 + 6e-4, 3))
     if not len(rows):
         spans = f"estimates from {span(*times[[0, -1]])}, truth from {span(*true.times[[0, -1]])}"
         alike = 0.02 < (np.ptp(times) + 1e-3) / (np.ptp(true.times) + 1e-3) < 50.0

@@ -40,13 +40,10 @@ class Gauge(AbstractSensor):
         return Residual([whitened], 0.0 * whitened, nis_dof, dof=dof)
 
 
-def _times(rng):
-    return np.cumsum(np.concatenate([[0.0], rng.uniform(0.05, 0.4, ROWS - 1)]))
-
-
 def test_on_a_linear_model_it_is_the_inverse_of_the_whole_paths_information():
     rng = np.random.default_rng(0)
-    times, seen = _times(rng), rng.random((ROWS, 1)) < 0.7
+    times = np.cumsum(np.concatenate([[0.0], rng.uniform(0.05, 0.4, ROWS - 1)]))
+    seen = rng.random((ROWS, 1)) < 0.7
     start = np.array([[0.5, 0.1], [0.1, 0.2]])
     tracker = Tracker(
         ConstantVelocity(SIGMA_A, 1), {"gauge": Gauge()}, KnownStart(lambda x: Kinematic(Vector(x[0]), Vector(x[1])))

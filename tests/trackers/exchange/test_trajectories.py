@@ -100,6 +100,9 @@ def test_each_estimate_takes_the_nearest_truth_and_without_heights_errors_are_in
     found = compare_trajectories(flat, SPIRAL)
     assert found.planar
     assert found.ape_m["rmse"] == pytest.approx(0.5)
+    # No pose within 0.01 s: within half a step, rounded up.
+    between = compare_trajectories(SPIRAL.with_columns(pl.col("t_s") + 0.02), SPIRAL)
+    assert (between.pairs, between.time_tolerance_s) == (400, 0.026)
 
 
 LINE = _table(TIMES[:5], np.outer(np.arange(5), [1.0, 0, 0]))

@@ -19,15 +19,12 @@ LOOP, LAPS = Polyline([*CORNERS, CORNERS[0]]), Polyline([*CORNERS, *CORNERS, *CO
 ROWS, DT = 40, 0.5
 
 
-def _positions(arclength):
-    return np.stack([np.asarray(x) for x in LOOP.position(jnp.asarray(arclength))], axis=-1)
-
-
 def _fixes():
     """Fixes of a tag that crosses the first knot twice and rests there once."""
     rng, times = np.random.default_rng(4), DT * np.arange(ROWS)
     arclength = np.interp(times, [0.0, 4.0, 7.0, 19.5], [4.5, 6.0, 6.0, 12.4])
-    return times, arclength, _positions(arclength) + 0.2 * rng.normal(size=(ROWS, 2))
+    positions = np.stack([np.asarray(x) for x in LOOP.position(jnp.asarray(arclength))], axis=-1)
+    return times, arclength, positions + 0.2 * rng.normal(size=(ROWS, 2))
 
 
 def _run(kind, line, filter, first):

@@ -70,11 +70,10 @@ def continued(batch: Batch, recordings: Sequence[Recording], initial: TrackerSta
 def stacked_priors(prior: Gaussian | Sequence[Gaussian], count: int, dtype: DTypeLike) -> Gaussian:
     """One prior for each of `count` trajectories, (B,) first in every array."""
     each = [prior] * count if isinstance(prior, Gaussian) else list(prior)
-    if len(each) != count or not all(isinstance(g, Gaussian) for g in each):
-        raise UnusableInput(
-            f"run: `initial` holds {len(each)} beliefs for {count} recordings; expected one Gaussian for all, one for "
-            "each, or the `final` of an earlier run"
-        )
+    if len(each) != count or (others := [type(g).__name__ for g in each if not isinstance(g, Gaussian)]):
+        found = f"{len(each)} beliefs for {count} recordings" if len(each) != count else f"{others[0]} as a belief"
+        fix = "expected one Gaussian for all, one for each, or the `final` of one earlier run of all"
+        raise UnusableInput(f"run: `initial` holds {found}; {fix}")
     stacked: Gaussian = jax.tree_util.tree_map(lambda *x: jnp.stack([jnp.asarray(v, dtype) for v in x]), *each)
     return stacked
 

@@ -308,10 +308,9 @@ def _found(
                 fall = np.log(np.maximum(whole[of], floor) / np.maximum(after[of], floor))
                 gains += np.nansum(fall) / known.sum() * of.sum()
                 numbers.append(x)
-        # A cause in single sensors leaves most others without errors.
-        most = max(FEW * len(groups), 1) if change.of == "place" else len(groups)
-        others = change.each and 2 * (unknown & ~groups).sum() > len(groups)
-        if groups.any() and groups.sum() <= most and not others:
+        # Single sensors are wrong where most are right: few have a wrong place.
+        alone = not change.each or 2 * (unknown & ~groups).sum() <= len(groups)
+        if groups.any() and alone and not (change.of == "place" and groups.sum() > max(FEW * len(groups), 1)):
             cost = PENALTY * (1 + sum(map(np.count_nonzero, numbers))) - gains / len(unknown)
             yield Found(cost, change, groups, numbers, after)
 

@@ -218,7 +218,7 @@ def check_rates(tables: Tables) -> Results:
         ids, values, *_ = table_kinds()[name].layout(table.columns)
         rate = streams(table.select("t_s", *ids), ids).filter(DT > 0).select(1 / DT.median()).item() or 0.0
         empty = {c: table[c].null_count() / table.height for c in values}
-        what = "".join(f", {c} empty {share:.3g}" for c, share in empty.items() if share)
+        what = "".join(f", {c} {100 * share:.3g} % empty" for c, share in empty.items() if share)
         lost = name != "truth" and min(empty.values()) == 1.0
         yield CheckResult("error" if lost else "info", name, f"{table.height} rows, {rate:.3g} Hz{what}")
 

@@ -27,10 +27,6 @@ def _covariances(rng, n, d):
     return factors @ factors.transpose(0, 2, 1)
 
 
-def _draws(rng, covs):
-    return np.einsum("nij,nj->ni", np.linalg.cholesky(covs), rng.normal(size=covs.shape[:2]))
-
-
 def _even_chi_square_cdf(x, dof):
     """The closed form for even degrees of freedom: one minus a sum of Poisson probabilities."""
     k = np.arange(dof // 2)
@@ -69,7 +65,8 @@ def test_mean_nees_of_true_covariances_lies_inside_its_bounds_as_often_as_promis
     covs = _covariances(rng, runs, d)
     inside = []
     for _ in range(studies):
-        interval = consistency(nees(_draws(rng, covs), covs), d)
+        errors = np.einsum("nij,nj->ni", np.linalg.cholesky(covs), rng.normal(size=covs.shape[:2]))
+        interval = consistency(nees(errors, covs), d)
         inside.append(interval.low <= interval.mean <= interval.high)
     # Four standard errors of a share of 0.95 in 2,000 studies.
     assert np.mean(inside) == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / studies))

@@ -109,7 +109,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
             "error", "typical acceleration is 1,000 m/s²: gravity in thousandths of g or cm/s²", with_columns("imu", C("^accel.*$") / 9.81e-3),
         ),
         "turn rates in degrees": Case("error", "degrees per second", with_columns("imu", C("^gyro.*$") * 0 + 150)),
-        "no value": Case("error", "ranges: 400 rows, 10 Hz, range_m empty 1", with_columns("ranges", range_m=pl.lit(None, pl.Float64)), False),
+        "no value": Case("error", "ranges: 400 rows, 10 Hz, range_m 100 % empty", with_columns("ranges", range_m=pl.lit(None, pl.Float64)), False),
         "an anchor that is silent": Case("warning", "anchors never observed: 1 of 4 (A3)", with_rows("ranges", A1 != "A3")),
         "truth of another time": Case("error", "covers 0 % of the measurements in time (40 to 44.9 s, and they 0 to 4.9 s", with_columns("truth", T + 40)),
         "truth of a part": Case("warning", "covers 20 %", with_rows("truth", T < 0.95)),
