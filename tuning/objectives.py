@@ -197,12 +197,10 @@ def _covariance_of(output: Output, quantity: str, dimensions: int) -> dict[tuple
     return each(output.mean, output.cov)
 
 
+# Weight of an estimated height beside each coordinate of the plane in `state-nll`. Noise levels that act on the height
+# alone are fitted to it all the same; those that it shares with the plane follow the plane's two coordinates, four
+# times as heavy.
 HEIGHT_WEIGHT = 0.5
-"""Weight of an estimated height beside each coordinate of the plane in `state-nll`.
-
-Noise levels that act on the height alone are fitted to it all the same; those that it shares with the plane follow the
-plane's two coordinates, four times as heavy.
-"""
 
 OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = {
     "nll": lambda quantity, dimensions: NegativeLogLikelihood(),

@@ -249,12 +249,10 @@ def physical_errors(
 
 PriorKind = Literal["sites", "flat"]
 
+# Scales of the distributions between sites by the last part of a tunable's name, and by none of all others. Of the
+# logarithm of a noise level or another positive number, and of the logit of a fraction; of other numbers in their
+# unit, as the latency of fixes in s.
 SPREADS = {"": 0.35, "dof": 0.5, "positive_skew": 0.5, "latency": 1.0}
-"""Scales of the distributions between sites by the last part of a tunable's name, and by none of all others.
-
-Of the logarithm of a noise level or another positive number, and of the logit of a fraction; of other numbers in their
-unit, as the latency of fixes in s.
-"""
 
 DOF = 3.0  # degrees of freedom of these distributions
 

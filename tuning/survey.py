@@ -29,18 +29,15 @@ from trackwright.tuning.anchor_paths import (
 from trackwright.tuning.calibrating import check_at_rest
 
 HIGHEST, ROUNDS = 1000.0, 3  # largest height of tags, m: others are in other units; rounds of effect and solution
-
+# Deviation of exact positions, m; a frame's least height over base; ratio of log-likelihoods that excludes a place;
+# deviation of walks from a plane, m, below which anchors may be on either side of it.
 EXACT, ASIDE, UNLIKELY, FLAT = 1e-3, 0.1, 4.0, 0.15
-"""Deviation of exact positions, m; a frame's least height over base; ratio of log-likelihoods that excludes a place;
-deviation of walks from a plane, m, below which anchors may be on either side of it."""
 
 COMMON_DELAY, OWN_DELAY = RANGE_PRIOR[1][0], 0.1  # sds of delays, m, before any range: of the shared, of each own
-
+# Half-widths of 95 % intervals, m: the largest of determined and of weak coordinates, the least of unseen ones.
 DETERMINED, WEAK, UNSEEN = 0.25, 1.0, 100.0
-"""Half-widths of 95 % intervals, m: the largest of determined and of weak coordinates, the least of unseen ones."""
-
+# Half-width of the 95 % interval, m, with which ranges determine a delay better than what was known before.
 DELAY_DETERMINED = 0.7 * NORMAL * np.hypot(COMMON_DELAY, OWN_DELAY)
-"""Half-width of the 95 % interval, m, with which ranges determine a delay better than what was known before."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

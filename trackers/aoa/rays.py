@@ -17,13 +17,12 @@ from trackwright.trackers.core.model.inputs import AnyArray
 from trackwright.trackers.parts.multilaterate import inverse
 from trackwright.trackers.parts.start_nearby import AbstractPlaces, last_of_times
 
+# Smallest eigenvalue of the information matrix, per ray (0 … ⅔), at which a point is determined.
 MIN_INFORMATION = 0.02
-"""Smallest eigenvalue of the information matrix, per ray (0 … ⅔), at which a point is determined."""
 
 WINDOW_S = 1.0  # how long a ray counts, s
-
+# Number of bearings for which a start waits, and for how long, s: two biased ones can meet outside the room.
 MIN_RAYS, PATIENCE_S = 4, 1.0
-"""Number of bearings for which a start waits, and for how long, s: two biased ones can meet outside the room."""
 
 
 def unit_vector(azimuth: Scalar, elevation: Scalar) -> jax.Array:

@@ -23,13 +23,11 @@ if TYPE_CHECKING:
     from trackwright.trackers.baselines.floor import Walls
 
 COPLANAR = 0.5  # largest difference between the heights of anchors that count as coplanar, m
-
+# Standard deviation about zero, s, of a latency of fixes that nobody measured: as of delays from 0 to 0.35 s. Of
+# positions that another system computes, autopilots allow for 0 to 0.25 s (ArduPilot, `EK3_BCN_DELAY`) or 0 to 0.3 s
+# (PX4, `EKF2_GPS_DELAY`, by default 0.11 s). A maker's manual (Marvelmind, 9.4) has 0.01 to 0.15 s, 2 s with
+# averaging.
 LATENCY_STD = 0.2
-"""Standard deviation about zero, s, of a latency of fixes that nobody measured: as of delays from 0 to 0.35 s.
-
-Of positions that another system computes, autopilots allow for 0 to 0.25 s (ArduPilot, `EK3_BCN_DELAY`) or 0 to 0.3 s
-(PX4, `EKF2_GPS_DELAY`, by default 0.11 s). A maker's manual (Marvelmind, 9.4) has 0.01 to 0.15 s, 2 s with averaging.
-"""
 
 WINDOW = 9  # rows of the moving windows, as in the paper's median (Huang et al. 2018, section 4)
 

@@ -28,13 +28,10 @@ from trackwright.trackers.recordings.tracks import (
 )
 
 SIGMA_FIX = 0.3  # standard deviation of a fix per axis, m; the raw error in the thesis is 0.39 m over both axes
-
+# Scale, m, skew and degrees of freedom of range errors at sites with and without a calibration. Where no calibration
+# has taken it, obstruction makes an anchor's ranges too long by decimetres for as long as the tag stays at a place. A
+# skew that takes all these ranges for independent has to be wide.
 CALIBRATED, OBSTRUCTED = (0.1, 3.0, 3.0), (0.06, 10.0, 4.0)
-"""Scale, m, skew and degrees of freedom of range errors at sites with and without a calibration.
-
-Where no calibration has taken it, obstruction makes an anchor's ranges too long by decimetres for as long as the tag
-stays at a place. A skew that takes all these ranges for independent has to be wide.
-"""
 
 CLOSING_GAP = 0.05  # largest gap between the ends of a closed path, as a fraction of its longest segment
 

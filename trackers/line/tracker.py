@@ -36,16 +36,14 @@ from trackwright.trackers.line.motion import (
 SIGMA_A = 0.05  # change of speed, m/s per √s: a cart at walking pace whose speed may differ between segments
 
 SIGMA_LINE = 0.02  # standard deviation of a marked path, m
-
+# Of a tag that may halt anywhere: change of speed, m/s per √s, and mean times of travel and of rest, s.
 STEADY, TRAVEL, REST = 0.03, 20.0, 10.0
-"""Of a tag that may halt anywhere: change of speed, m/s per √s, and mean times of travel and of rest, s."""
 
 CURVE_SPACING = 0.5  # mean distance between knots, m, below which they are treated as points on a curve
 
 MOST_CELLS = 2**16  # cells of the longest path of a grid filter, 3 km of 5 cm: with 64 speeds, 17 MB for each tag
-
+# Points along the path at which a row's density is evaluated: at least, at most m apart, and at most.
 POINTS, CLOSE, MOST_POINTS = 201, 0.5, 4097
-"""Points along the path at which a row's density is evaluated: at least, at most m apart, and at most."""
 
 FLOOR = 10.0  # nats below its maximum to which the density of a row falls where the test for track loss compares it
 

@@ -12,11 +12,10 @@ from itertools import pairwise
 
 import numpy as np
 
+# Candidate times of the global search, which is exact among them and initialises the continuous fit.
 CANDIDATES = 400
-"""Candidate times of the global search, which is exact among them and initialises the continuous fit."""
-
+# Of the continuous fit: sweeps over all knot times, and the factor of a step that did not lower the cost.
 SWEEPS, SHRINK = 60, 0.7
-"""Of the continuous fit: sweeps over all knot times, and the factor of a step that did not lower the cost."""
 
 
 @dataclass(frozen=True)

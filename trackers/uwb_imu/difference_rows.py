@@ -21,20 +21,14 @@ from trackwright.trackers.recordings.tracks import Trajectories, Trajectory, kno
 from trackwright.trackers.uwb_imu.fusion import TDOA, difference_tracker
 from trackwright.trackers.uwb_imu.rows import bias_slots
 
+# Most differences in a row; a longer message has several rows, whose differences count as independent. Twice as many
+# take up to four times as long to compile.
 MOST_SLOTS = 16
-"""Most differences in a row; a longer message has several rows, whose differences count as independent.
-
-Twice as many take up to four times as long to compile.
-"""
-
+# Share of the variance of a difference that is of its two times of arrival, which other differences share. The rest is
+# its own, as of rounding: differences that close a loop exactly would else have no density.
 SHARED = 0.9
-"""Share of the variance of a difference that is of its two times of arrival, which other differences share.
-
-The rest is its own, as of rounding: differences that close a loop exactly would else have no density.
-"""
-
+# Length, m, by which a difference may exceed the distance of its anchors, its largest value; others are no reading.
 BEYOND = 1.0
-"""Length, m, by which a difference may exceed the distance of its anchors, its largest value; others are no reading."""
 
 
 def difference_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:

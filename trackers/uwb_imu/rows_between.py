@@ -64,12 +64,10 @@ def _with_zeros(values: np.ndarray) -> np.ndarray:
 HOLD_S = 0.2  # longest time for which a sample is held, s; after it the row has no IMU
 
 REST_WINDOW_S = 1.0  # window of the test for rest, s
-
+# Largest standard deviations at rest, m/s² and rad/s: several times the noise of a MEMS IMU, below hand motion.
 REST_ACCEL_STD, REST_GYRO_STD = 0.15, 0.02
-"""Largest standard deviations at rest, m/s² and rad/s: several times the noise of a MEMS IMU, below hand motion."""
-
+# Typical tilt within a second, rad, that doubles the errors of `uwb-imu` at a known height.
 TILTING = np.radians(3.0)
-"""Typical tilt within a second, rad, that doubles the errors of `uwb-imu` at a known height."""
 
 
 def imu_inputs(times: np.ndarray, imu_times: np.ndarray, accel: np.ndarray, gyro: np.ndarray) -> dict[str, np.ndarray]:

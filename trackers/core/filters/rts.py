@@ -36,9 +36,9 @@ from trackwright.trackers.core.model.state import State, local, retract
 
 Matrices = Float[Array, "n n B"]
 
+# Trajectories smoothed side by side: enough for LLVM to vectorise loops over them, few enough for XLA to compile the
+# loop over times to one kernel (it does not for three components of 23 states).
 BLOCK = 32
-"""Trajectories smoothed side by side: enough for LLVM to vectorise loops over them, few enough for XLA to compile the
-loop over times to one kernel (it does not for three components of 23 states)."""
 
 
 class RtsGain(NamedTuple):

@@ -25,8 +25,8 @@ Scalar = Any
 SparseRow = dict[int, Scalar]
 """One row of a matrix, column index -> entry; an absent column is a structural zero."""
 
+# Kinds of an entry of a Jacobian: a structural zero, a structural one, any other number.
 ZERO, ONE, VARIABLE = range(3)
-"""Kinds of an entry of a Jacobian: a structural zero, a structural one, any other number."""
 
 
 class Jacobian(NamedTuple):

@@ -81,11 +81,10 @@ class Tag:
     offset: Point | None = None
 
 
+# Share of the largest extent, and extent across their best plane, m, up to which anchors leave mirror images.
 THIN, FLAT = 0.1, 0.6
-"""Share of the largest extent, and extent across their best plane, m, up to which anchors leave mirror images."""
-
+# Heights, m: of anchors that tags are likely above, at most, and below, at least; one that no tag reaches.
 FLOOR, CEILING, ANYWHERE = 0.5, 2.0, 1e4
-"""Heights, m: of anchors that tags are likely above, at most, and below, at least; one that no tag reaches."""
 
 SAY_SIDE = "give height_m in rig.toml, or --side above or below"
 
@@ -173,11 +172,10 @@ class Rig:
         return np.vstack([walls, np.hstack([corners, np.roll(corners, -1, axis=0)])])
 
 
+# Distance in x or y, m, from the middle of its places at which a place is of no site: left at a map's origin, say.
 ELSEWHERE_M = 1e5
-"""Distance in x or y, m, from the middle of its places at which a place is of no site: left at a map's origin, say."""
-
+# Least distance, m, by which a room of unknown outline is wider on each side than its anchors or stations.
 MARGIN = 10.0
-"""Least distance, m, by which a room of unknown outline is wider on each side than its anchors or stations."""
 
 
 def room_rows(

@@ -28,17 +28,13 @@ Tree = TypeVar("Tree")
 CHUNK = 512  # trajectories per chunk: enough to amortise the overhead of a step, few enough for the cache
 
 
+# Most trajectories that run in pieces of few with a large state, and in gradients with a small and a larger one. There
+# the program of few compiles in a half to a quarter of the time, and a row costs as much or less.
 FEW_LARGE, FEW_GRADIENTS = 40, (16, 64)
-"""Most trajectories that run in pieces of few with a large state, and in gradients with a small and a larger one.
-
-There the program of few compiles in a half to a quarter of the time, and a row costs as much or less.
-"""
 
 LARGE, LARGE_IN_GRADIENTS = 15, 10  # noises of a motion from which on the state counts as large
-
+# Rows from which on these run one by one, which costs least; a call takes a millisecond, as long as hundreds of rows.
 LONG = 1000
-"""Rows from which on these run one by one, which costs least; a call takes a millisecond, as long as hundreds of rows.
-"""
 
 
 def as_numbers(tree: Tree, dtype: DTypeLike) -> Tree:

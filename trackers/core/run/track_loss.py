@@ -83,13 +83,12 @@ class TrackLossPolicy(AbstractTrackLoss):
         return statistic > self.nis_limit.value
 
 
+# Evidence, nats, that each reading costs another place, so that one which explains no readings is given up.
 PRICE = 0.2
-"""Evidence, nats, that each reading costs another place, so that one which explains no readings is given up."""
 
 BLUR = 3.0  # factor on the errors of readings at another place, which lags behind a tag that moves
-
+# Least and largest share of wild readings, and the number of readings over which it is estimated.
 WILD, READINGS = (0.02, 0.5), 50.0
-"""Least and largest share of wild readings, and the number of readings over which it is estimated."""
 
 
 class Elsewhere(NamedTuple):
