@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import polars as pl
 
 from trackwright.trackers.core.errors import UnusableInput, listed
-from trackwright.trackers.recordings.checks import rules
+from trackwright.trackers.recordings.checks import mistakes, rules
 from trackwright.trackers.recordings.checks.readings import compared
 from trackwright.trackers.recordings.checks.rules import LEVELS, CheckResult
 from trackwright.trackers.recordings.folder import RecordingFolder
@@ -35,9 +35,6 @@ def _results(recording: RecordingFolder, full: bool, calibrated: bool = False) -
     sound = all(one.level != "error" for one in results)
     for name in measured if sound else ():
         view, kind, before = compared(recording, name), KINDS[name], len(results)
-        # What explains large errors is searched for where there are some.
-        from trackwright.trackers.recordings.checks import mistakes
-
         if view is not None and not kind.numbered and view.large().any():
             results += mistakes.check_mistakes(view, calibrated)
         # A height that is wrong contradicts all kinds.

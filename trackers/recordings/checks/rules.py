@@ -255,7 +255,8 @@ def check_clocks(measured: Tables, truth: pl.DataFrame | None) -> Results:
             message = f"{stuck} rows have one time per sensor and tag: the stamps have lost their digits"
             yield CheckResult("error", name, f"{message}; export them again with fractions of a second")
         (start, end), within = _ends(table), int(table["t_s"].is_between(first, last).sum())
-        if within <= LEAST_STAMPS < min(table.height, measured[one].height) / 10 and end - start > 20 * (last - first) > 0:
+        many = min(table.height, measured[one].height) > 10 * LEAST_STAMPS
+        if many and within <= LEAST_STAMPS and end - start > 20.0 * (last - first) > 0.0:
             message = f"{span(start, end)}, and {one} {span(first, last)}, in which {within} of {table.height} rows lie"
             yield CheckResult("error", name, f"{message}: looks like another unit of time, expected seconds")
         # One sensor may be switched on after another was switched off.
