@@ -34,7 +34,7 @@ from trackwright.experiments.text.tables import (
 from trackwright.trackers.core.errors import UnusableInput, listed
 from trackwright.trackers.evaluation.comparison import Difference, holm, paired_differences
 from trackwright.trackers.evaluation.evaluate import Evaluation
-from trackwright.trackers.evaluation.rows import is_scored, scored_rows
+from trackwright.trackers.evaluation.rows import scored_rows
 from trackwright.trackers.recordings.folder import read_recording
 from trackwright.trackers.recordings.tracks_table import TRACKS, is_bearing, read_tracks, source_paths
 
@@ -144,7 +144,7 @@ def lone_subjects(runs: Runs) -> list[str]:
 
 def comparison_charts(runs: Runs) -> list[Chart]:
     """The charts of the page, and of the files where these are asked for; none without truth."""
-    scored = {name: rows for name, rows in runs.items() if is_scored(rows).any()}
+    scored = {name: rows for name, rows in runs.items() if rows["why"].is_null().any()}
     return [error_cdf(scored), coverage(scored)] if scored else []
 
 

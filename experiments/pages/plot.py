@@ -17,7 +17,6 @@ from trackwright.experiments.pages.scored_tracks import AnyEstimates, AnyRecordi
 from trackwright.experiments.pages.track import run_data, track_page
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.evaluation.evaluate import Evaluation
-from trackwright.trackers.evaluation.rows import is_scored
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,6 +69,6 @@ def playback(estimates: AnyEstimates | Mapping[str, AnyEstimates], recording: An
     data = []
     for name, run in runs.items():
         tracks = scored_tracks(run, recording)
-        evaluation = Evaluation.of(tracks.rows) if is_scored(tracks.rows).any() else None
+        evaluation = Evaluation.of(tracks.rows) if tracks.rows["why"].is_null().any() else None
         data.append(run_data(tracks, evaluation, name or recording.name, name, len(runs)))
     return Playback(f"{recording.name}, {', '.join(filter(None, runs)) or 'estimates'}", track_page(data))

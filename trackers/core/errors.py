@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 LONGEST = 3000  # longest message, characters; the middle of a longer one, which quotes an input, is left out
-
+# Times from `UNIX_S` on count from 1970, in s below `UNIX_MS`: no recording lasts the three years before.
 UNIX_S, UNIX_MS = 1e8, 1e11
-"""Times from `UNIX_S` on count from 1970, in s below `UNIX_MS`: no recording lasts the three years before."""
 COARSE_S = 1e-2  # spacing of times in single precision from which they are no longer told apart
 
 

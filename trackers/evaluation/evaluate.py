@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
 Metrics = dict[str, Any]  # by name; in lists by recording and by track also `recording`, `tag` and `station`
 
-LEAST_SAMPLES, LOST = 8.0, 0.1
-"""Fewest effective samples for a verdict; largest share of rows that may be lost, or without a covariance, for one."""
-
+# Fewest effective samples for a verdict; largest share of rows that may be lost, or without a covariance, for one;
+# share of the RMSE, without biases, below which what is left without a lag is told.
+LEAST_SAMPLES, LOST, LATE = 8.0, 0.1, 0.8
 MOST_ROWS = 12  # rows of the table of an evaluation that a terminal shows
 
 HOLD, SHORT, SMALL, LARGE = "hold", "too short", "too small", "too large"
@@ -217,6 +217,12 @@ def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mappi
         sentences.append(f"{lost} With a suitable model a track is lost only where readings are missing.")
     if losses and max(losses / overall["n_rows"], overall["lost_fraction"]) > LOST:
         return sentences
+    rmse, without, lag = (overall.get(name) or 0.0 for name in ("rmse_m", "rmse_without_lag_m", "lag_s"))
+    # On a way in one direction a bias looks like a lag.
+    if lag and without < LATE * math.sqrt(max(rmse**2 - overall["bias_x_m"] ** 2 - overall["bias_y_m"] ** 2, 0.0)):
+        late = f"Estimates are {abs(lag):.2g} s {'late' if lag > 0 else 'early'} along the true path"
+        why = "the fixes or the filter lag, or the clock of the truth is another"
+        sentences.append(f"{late}, without which RMSE is {without:.2g} m, not {rmse:.2g}: {why}.")
     if overall["coverage_95"] is None:
         return sentences + _sentence(overall, "nis")
     sentences += _sentence(overall, "nees")

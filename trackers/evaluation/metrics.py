@@ -35,26 +35,14 @@ class Metric(NamedTuple):
 
 
 COLUMNS = {
-    "n": ("n", 0, True),
-    "rmse_m": ("RMSE", 0, True),
-    "median_m": ("median", 2, True),
-    "p95_m": ("p95", 0, True),
-    "max_m": ("max", 0, True),
-    "rmse_3d_m": ("3-D\nRMSE", 0, True),
-    "rmse_heading_rad": ("heading,\n° RMSE", 0, True),
-    "rmse_azimuth_rad": ("az\nRMSE", 0, True),
-    "rmse_elevation_rad": ("el\nRMSE", 0, True),
-    "rmse_direction_rad": ("angle\nRMSE", 1, True),
-    "median_direction_rad": ("angle\nmedian", 2, False),
-    "p95_direction_rad": ("angle\np95", 0, True),
-    "coverage_95": ("% in\n95 %", 0, True),
-    "nees_ratio": ("NEES\n/dof", 0, True),
-    "regret": ("regret", 0, True),
-    "log_density": ("log\ndensity", 1, True),
-    "energy_score_m": ("energy\nscore", 2, True),
-    "nis_ratio": ("NIS\n/dof", 2, True),
-    "lost_s": ("lost", 0, True),
-}
+    "n": ("n", 0, True), "rmse_m": ("RMSE", 0, True), "median_m": ("median", 2, True), "p95_m": ("p95", 0, True),
+    "max_m": ("max", 0, True), "rmse_3d_m": ("3-D\nRMSE", 0, True), "rmse_heading_rad": ("heading,\n° RMSE", 0, True),
+    "rmse_azimuth_rad": ("az\nRMSE", 0, True), "rmse_elevation_rad": ("el\nRMSE", 0, True),
+    "rmse_direction_rad": ("angle\nRMSE", 1, True), "median_direction_rad": ("angle\nmedian", 2, False),
+    "p95_direction_rad": ("angle\np95", 0, True), "coverage_95": ("% in\n95 %", 0, True),
+    "nees_ratio": ("NEES\n/dof", 0, True), "regret": ("regret", 0, True), "log_density": ("log\ndensity", 1, True),
+    "energy_score_m": ("energy\nscore", 2, True), "nis_ratio": ("NIS\n/dof", 2, True), "lost_s": ("lost", 0, True),
+}  # fmt: skip
 """The metrics with a column in tables: `short`, `rank` and `page` of `Metric`."""
 
 ERROR_KINDS = {"m": "", "3d_m": "in 3-D", "heading_rad": "of heading", "azimuth_rad": "of azimuth",
@@ -63,8 +51,8 @@ ERROR_KINDS = {"m": "", "3d_m": "in 3-D", "heading_rad": "of heading", "azimuth_
 
 SHARES = {"median": 0.5, "p90": 0.9, "p95": 0.95, "p99": 0.99}  # the quantiles of errors that are metrics
 LEVELS = (50, 68, 90, 95, 99)  # levels, %, of the ellipses whose share of the truth is a metric
+# The kind of errors whose rows count for the bias of a component.
 BIASES = {"x_m": "m", "y_m": "m", "z_m": "3d_m", "azimuth_rad": "azimuth_rad", "elevation_rad": "elevation_rad"}
-"""The kind of errors whose rows count for the bias of a component."""
 
 UNCERTAIN = 3.0  # the band belongs to n²/(n + 3) samples: n itself is estimated, which matters below some 20 samples
 C, MEASURED = pl.col, pl.col("nis").is_finite() & (pl.col("nis_dof") > 0)
@@ -102,6 +90,8 @@ TERMS = {
     "dof": pl.when(MEASURED).then(C("nis_dof")),
     "n nis": MEASURED,
     "slow nis": C("slow_nis"),
+    "along": C("along"),
+    "way": C("way"),
     "lost s": pl.when(C("lost")).then(C("step_s")),
     "span s": C("step_s"),
     "lost rows": C("lost"),
@@ -109,11 +99,10 @@ TERMS = {
 }
 """What is summed over rows, by name."""
 
+# Largest values of groups of rows, by name.
 LARGEST = {f"largest {kind}": C(f"size_{kind}").max() for kind in ERROR_KINDS}
-"""Largest values of groups of rows, by name."""
-
+# Quantiles of groups of rows, by share and kind of error.
 QUANTILES = {f"{p} {kind}": C(f"size_{kind}").quantile(p, "linear") for kind in ERROR_KINDS for p in SHARES.values()}
-"""Quantiles of groups of rows, by share and kind of error."""
 
 Frame = TypeVar("Frame", pl.DataFrame, pl.LazyFrame)
 
@@ -199,6 +188,9 @@ METRICS = {
         Metric("n_hole", "rows in gaps of the truth", "rows", C("n_hole")),
         *(metric for kind in ERROR_KINDS for metric in _of_kind(kind)),
         Metric("variance_m2", "variance of the error", "m²", C("squares m") / C("n m") - (C("sum m") / C("n m")) ** 2),
+        Metric("lag_s", "time by which estimates are late, by errors along the true path", "s", -C("along") / C("way")),
+        Metric("rmse_without_lag_m", "RMSE without this", "m",
+               ((C("squares m") - C("along") ** 2 / C("way")) / C("n m")).sqrt()),
         *(Metric(f"bias_{x}", f"bias in {x.split('_')[0]}", x.split("_")[1], C(f"bias {x}") / C(f"n {kind}"))
           for x, kind in BIASES.items()),
         *_consistency("nees", 2),

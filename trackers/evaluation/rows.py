@@ -35,9 +35,10 @@ def scored_rows(tracks: pl.DataFrame, truths: Truths, stations: Stations | None 
 
     `track`: its number. `why`: null in scored rows. `true_x_m` …: the truth, linearly interpolated; none outside its
     span, nor in a hole (see `TruePaths`). `error_x_m` …, m, or `error_azimuth_rad` …: estimate less truth. `size_m` …:
-    size of the error by kind. `nees` of the horizontal position or of both angles, infinite for a singular covariance,
-    with `density` (log density of the truth, nats), `energy` (energy score, m) and `slow` (rows with the information of
-    one); in space with the ending `_3d`. `slow_nis`. `step_s`: until the next row; `lost`; `losses`: times lost.
+    size of the error by kind. `along`, `way`: of positions, error times true velocity, and the velocity squared. `nees`
+    of the horizontal position or of both angles, infinite for a singular covariance, with `density` (log density of the
+    truth, nats), `energy` (energy score, m) and `slow` (rows with the information of one); in space with the ending
+    `_3d`. `slow_nis`. `step_s`: until the next row; `lost`; `losses`: times lost.
 
     `tracks`: the columns of tracks.parquet. `truths`: by recording, a table of t_s, tag, x_m, y_m and optionally z_m.
     `stations`: required for scored bearings. Raises UnusableInput for a missing column or station.
@@ -54,18 +55,19 @@ def scored_rows(tracks: pl.DataFrame, truths: Truths, stations: Stations | None 
     status = np.where(usable, status, TruthStatus.NO_ESTIMATE)
     scored = status == TruthStatus.SCORED
     columns = {f"true_{axis}": x for axis, x in zip(AXES, truth.T, strict=True)}
-    columns |= _judged(rows, np.where(scored[:, None], truth, np.nan), stations or {}, track)
+    columns |= _judged(rows, true := np.where(scored[:, None], truth, np.nan), stations or {}, track)
+    if not is_bearing(rows):
+        # Errors along the velocity of the truth until the next row are those of a time.
+        step = np.where(np.diff(track) == 0, np.diff(times), np.nan)
+        velocity = np.diff(true[:, :2], axis=0) / np.where(step > 0.0, step, np.nan)[:, None]
+        errors = np.stack([columns["error_x_m"], columns["error_y_m"]], axis=1)[:-1]
+        columns["along"], columns["way"] = (np.append((x * velocity).sum(axis=1), np.nan) for x in (errors, velocity))
     columns |= _innovations(rows, track) | _lost(rows, times, track)
     if HEADING in rows.columns:
         turned = np.abs(wrapped(float_column(rows, HEADING) - headings))
         columns["size_heading_rad"] = np.where(scored, turned, np.nan)
     why = pl.Series("why", status).replace_strict(WHY, default=None, return_dtype=pl.String)
     return rows.with_columns(why, *(pl.Series(name, x, nan_to_null=True) for name, x in columns.items()))
-
-
-def is_scored(rows: pl.DataFrame) -> np.ndarray:
-    """Mask (n,) of the rows with both an estimate and a truth."""
-    return rows["why"].is_null().to_numpy()
 
 
 def _truth(

@@ -37,12 +37,10 @@ from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks import Trajectories, known_heights, trajectories_of
 
 FIXES = "fixes"
-
+# Errors of real fixes are correlated over seconds, so a large mean NIS is no evidence of track loss.
 PATIENT = TrackLossPolicy(nis_limit=1e3, max_gap=10.0)
-"""Errors of real fixes are correlated over seconds, so a large mean NIS is no evidence of track loss."""
-
+# Particles that start at a wild fix are too far from later ones to reach them; errors of metres may last.
 ELSEWHERE = TrackScorePolicy(25.0, "m", away=5.0)
-"""Particles that start at a wild fix are too far from later ones to reach them; errors of metres may last."""
 
 
 class AbstractFixSensor(AbstractDelayedSensor):

@@ -22,9 +22,8 @@ from trackwright.trackers.parts.start_nearby import AbstractPlaces, last_of_time
 from trackwright.trackers.recordings.columns import first_not_before
 
 ITERATIONS = 20  # Gauss–Newton steps; with weights that change at every step, convergence is linear
-
+# Smallest eigenvalue of the horizontal information matrix, per range (0 … ½), at which a position is determined.
 MIN_INFORMATION = 0.02
-"""Smallest eigenvalue of the horizontal information matrix, per range (0 … ½), at which a position is determined."""
 
 FURTHEST = 10.0  # residual, in scales of the loss, of the furthest range that a position agrees with
 

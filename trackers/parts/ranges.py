@@ -170,11 +170,10 @@ def entry_at(values: Any, number: Scalar) -> Scalar:
     return total(jnp.where(number == k, values[k], 0.0) for k in range(count))
 
 
+# Ratio of the horizontal singular values of the anchor positions below which the anchors count as collinear.
 COLLINEAR = 1e-2
-"""Ratio of the horizontal singular values of the anchor positions below which the anchors count as collinear."""
-
+# The column with the tag of each range where ranges of several tags are rows of one trajectory.
 CARRIER = "tag of the body"
-"""The column with the tag of each range where ranges of several tags are rows of one trajectory."""
 
 
 def range_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:

@@ -17,10 +17,6 @@ def _recording():
     return Recording(np.arange(ROWS) * 0.1, {FIXES: Readings(np.where(seen, values, 0.0), seen)})
 
 
-def _positions(estimates):
-    return np.stack(list(estimates.mean.position), axis=-1)
-
-
 @pytest.mark.parametrize(("median", "numpys"), [(False, np.mean), (True, np.median)])
 def test_each_axis_is_numpys_mean_or_median_of_its_last_values(median, numpys):
     recording = _recording()
@@ -30,6 +26,8 @@ def test_each_axis_is_numpys_mean_or_median_of_its_last_values(median, numpys):
         past = [fixes.values[: row + 1, k][fixes.seen[: row + 1, k]][-WINDOW:] for k in range(3)]
         if all(len(p) for p in past):
             assert estimates.status[row] == Status.OK
-            np.testing.assert_allclose(_positions(estimates)[row], [numpys(p) for p in past], rtol=1e-12)
+            np.testing.assert_allclose(
+                np.stack(list(estimates.mean.position), axis=-1)[row], [numpys(p) for p in past], rtol=1e-12
+            )
         else:
             assert estimates.status[row] == Status.WAITING

@@ -83,6 +83,13 @@ def _expected(rows):
     found |= {"variance_m2": np.var(np.linalg.norm(errors[:, :2], axis=1))}
     found |= {f"bias_{a}_m": errors[:, k].mean() for k, a in enumerate("xyz")}
     found |= {"nis_ratio": sum(rows["nis"]) / sum(rows["nis_dof"]), "lost_s": 0.0, "lost_fraction": 0.0, "losses": 0}
+    own = [(of[["x_m_true", "y_m_true"]].to_numpy(), of) for _, of in rows.sort("t_s").group_by("recording", "tag")]
+    velocity = np.concatenate([np.diff(x, axis=0) / np.diff(of["t_s"])[:, None] for x, of in own]).reshape(-1, 1)
+    error = np.concatenate([(of[["x_m", "y_m"]].to_numpy() - x)[:-1] for x, of in own]).ravel()
+    last = sum(((of[["x_m", "y_m"]].to_numpy() - x)[-1] ** 2).sum() for x, of in own)
+    (late,), *_ = np.linalg.lstsq(velocity, -error)
+    rest = np.sum((error + velocity[:, 0] * late) ** 2)
+    found |= {"lag_s": late, "rmse_without_lag_m": np.sqrt((rest + last) / n)}
     for d, end, kind in ((2, "", "m"), (3, "_3d", "3d_m")):
         size = np.linalg.norm(errors[:, :d], axis=1)
         nees = np.einsum("ni,ij,nj->n", errors[:, :d], np.linalg.inv(P[:d, :d]), errors[:, :d])
@@ -91,11 +98,8 @@ def _expected(rows):
         found |= {f"{name}_{kind}": np.percentile(size, share) for name, share in shares.items()}
         ratio, density = nees.mean() / d, multivariate_normal(cov=P[:d, :d]).logpdf(errors[:, :d])
         found |= {f"n_no_covariance{end}": 0, f"n_zero_covariance{end}": 0, f"nees{end}_mean": nees.mean()}
-        found |= {
-            f"nees{end}_ratio": ratio,
-            f"regret{end}": ratio - 1 - np.log(ratio),
-            f"log_density{end}": density.mean(),
-        }
+        found |= {f"nees{end}_ratio": ratio, f"regret{end}": ratio - 1 - np.log(ratio)}
+        found[f"log_density{end}"] = density.mean()
         found[f"energy_score{end}_m"] = energy_scores(errors[:, :d], np.tile(P[:d, :d], (n, 1, 1))).mean()
         found |= {f"coverage_{p}{end}": np.mean(nees <= chi2.ppf(p / 100, d)) for p in (50, 68, 90, 95, 99)}
     return found

@@ -99,6 +99,16 @@ def test_the_bands_hold_a_perfect_filter_in_95_of_100_tracks():
         assert verdict(found.overall, name) == "hold"
 
 
+def test_a_lag_is_told_where_a_bias_does_not_do_as_well():
+    t = 0.05 * np.arange(N)
+    truth = pl.DataFrame({"t_s": t, "tag": "1", "x_m": 3 * np.cos(0.4 * t), "y_m": 3 * np.sin(0.4 * t)})
+    late = truth.with_columns(pl.lit("hall").alias("recording"), pl.col("t_s") + 0.3)
+    (said,) = evaluate_table(late, {"hall": truth}).statements
+    assert said.startswith("Estimates are 0.3 s late along the true path, without which RMSE is 0.0")
+    biased, straight = _tracks(np.tile([3.0, 0.0], (N, 1)))
+    assert not any("true path" in one for one in evaluate_table(biased, {"hall": straight}).statements)
+
+
 def test_losses_speak_where_the_innovations_are_as_expected():
     status = np.where(np.arange(N) % 400 == 399, "lost", "ok").astype(object)
     status[400::400] = "restarted"

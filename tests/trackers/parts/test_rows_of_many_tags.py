@@ -28,10 +28,6 @@ NUMBERS = {
 }
 
 
-def _of_tag(folder, tag):
-    return dataclasses.replace(folder, tables={k: t.filter(pl.col("tag") == tag) for k, t in folder.tables.items()})
-
-
 @pytest.mark.parametrize(("world", "tracker"), CASES)
 def test_rows_of_many_tags_are_those_of_each_alone(world, tracker):
     folder = WORLDS[world](np.array([3, 11, 4]), 5, **NUMBERS[world])
@@ -39,7 +35,8 @@ def test_rows_of_many_tags_are_those_of_each_alone(world, tracker):
     every = {(t.tag, t.station): t.recording for batch in together for t in batch.trajectories}
     for tag in ("3", "11", "4"):
         # Without the simulated arrays: from tables, as a recording on disk.
-        for batch in TRACKERS[tracker].batches([_of_tag(folder, tag)], tracker):
+        tables = {name: table.filter(pl.col("tag") == tag) for name, table in folder.tables.items()}
+        for batch in TRACKERS[tracker].batches([dataclasses.replace(folder, tables=tables)], tracker):
             for alone in batch.trajectories:
                 jax.tree_util.tree_map(
                     np.testing.assert_array_equal,

@@ -35,10 +35,6 @@ def _errors(estimates, recordings, last_s=6.0):
     return np.concatenate(errors)
 
 
-def _rmse(x):
-    return np.sqrt((x**2).sum(axis=-1).mean())
-
-
 @pytest.mark.slow
 def test_the_imu_reduces_the_error_of_ranges_alone_by_at_least_a_fifth():
     draw = RangeDraw(chamber(), corruptions={"turn": round_robin()}, rate_hz=40.0, n_points=POINTS)
@@ -46,7 +42,8 @@ def test_the_imu_reduces_the_error_of_ranges_alone_by_at_least_a_fifth():
     recordings = [trajectory.recording for trajectory in inertial_trajectories(world, False)]
     tracker = inertial_tracker(sigma_r=0.05, positive_skew=1.1, dof=10.0, bias=0.0)
     with_imu, without = (
-        _rmse(_errors(tracker.run(stack([*every])), recordings)) for every in (recordings, map(_blind, recordings))
+        np.sqrt((_errors(tracker.run(stack([*every])), recordings) ** 2).sum(axis=-1).mean())
+        for every in (recordings, map(_blind, recordings))
     )
     assert with_imu < 0.06
     assert with_imu < 0.8 * without

@@ -43,11 +43,10 @@ STATUS_WORDS = {
     Status.NON_FINITE: "non-finite",
 }
 
+# The attributes of `Estimates` with a number for each row.
 ROWS = ("log_likelihood", "nis", "nis_dof", "wrapped", "status", "times", "age")
-"""The attributes of `Estimates` with a number for each row."""
-
+# Columns of tables of estimates: attributes of `Estimates`, summed over the rows of a time.
 STEP_COLUMNS = ("nis", "nis_dof", "log_likelihood")
-"""Columns of tables of estimates: attributes of `Estimates`, summed over the rows of a time."""
 
 
 def is_usable(status: Int[Any, "*rows"]) -> Bool[Any, "*rows"]:

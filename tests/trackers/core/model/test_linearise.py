@@ -41,10 +41,6 @@ FUNCTIONS = {
 }
 
 
-def _dense(rows, columns):
-    return np.array([[float(row.get(j, 0.0)) for j in range(columns)] for row in rows])
-
-
 @pytest.mark.parametrize("function", FUNCTIONS.values(), ids=FUNCTIONS.keys())
 def test_values_and_jacobians_are_those_of_jacfwd(function):
     def stacked(x):
@@ -54,7 +50,8 @@ def test_values_and_jacobians_are_those_of_jacfwd(function):
         lambda x: (linearise(function, list(x)), stacked(x), jax.jacfwd(stacked)(x))
     )(jnp.array(POINT))
     np.testing.assert_allclose(values, plain, rtol=1e-14)
-    np.testing.assert_allclose(_dense(rows, 3), expected, rtol=1e-12, atol=1e-14)
+    dense = np.array([[float(row.get(j, 0.0)) for j in range(3)] for row in rows])
+    np.testing.assert_allclose(dense, expected, rtol=1e-12, atol=1e-14)
 
 
 def test_under_vmap_each_trajectory_has_its_own_jacobian():

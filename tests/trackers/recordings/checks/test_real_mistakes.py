@@ -28,10 +28,6 @@ def _nth(number: int, change: Callable[[np.ndarray], np.ndarray]) -> Make:
     return with_anchors(lambda anchors: {list(anchors)[number]: change(list(anchors.values())[number])})
 
 
-def _all_anchors(change: Callable[[np.ndarray], np.ndarray]) -> Make:
-    return with_anchors(lambda anchors: {key: change(np.array(place)) for key, place in anchors.items()})
-
-
 def _cycled(things: dict[str, Any]) -> dict[str, Any]:
     return dict(zip(things, np.roll(np.stack(list(things.values())), 1, axis=0), strict=True))
 
@@ -64,7 +60,7 @@ MISTAKES = {
     ),
     "anchors in millimetres": Mistake(
         "labyrinth", ("anchors", "millimetres"),
-        _all_anchors(lambda place: 1000 * place),
+        with_anchors(lambda anchors: {key: 1000 * np.array(place) for key, place in anchors.items()}),
     ),
     "truth with z downward": Mistake("tiers-2tag-01", ("read as y, x, -z",), with_columns("truth", x_m=Y, y_m=X, z_m=-Z)),
     "truth turned": Mistake("lias-planar-fast", ("turned by 37.",), _turned(-37.0)),
