@@ -20,8 +20,7 @@ LEAST_GAIN = 2.0  # nats of the posterior below which a recording tells nothing 
 # the real ranges and bearings used for development, 1.7 and less on two, and smaller with white noise.
 LASTING = 1.5
 INFLATION = 3.0  # rows with the information of one, at the fitted levels, from which errors last (without biases)
-
-STEPS = 30
+STEPS, STARTS = 30, 3  # from the defaults alone white ranges of level anchors end with lasting errors and heights off
 BIAS = "sigma_bias"
 MOTION = "errors that last look like motion; calibrate, or tune with truth"
 
@@ -46,7 +45,7 @@ def fitted(tracker: NamedTracker, recording: RecordingFolder) -> OwnLevels:
         tune = tuned_by_default(tracker.only_batch(recording).tracker, needs_truth=False)
         # A bias is as large when the track starts as later.
         tune = tuple(f"tied:*.{BIAS}" if name == f"motion.{BIAS}" else name for name in tune)
-        result = fit(tracker, recording, "nll", tune, FitOptions(steps=STEPS, frozen=tuple(tracker.values)))
+        result = fit(tracker, recording, "nll", tune, FitOptions(steps=STEPS, starts=STARTS, frozen=(*tracker.values,)))
         problem, vector = result.problem, result.vector
         gain = (result.start_value - result.value) * problem.nats_per_unit(result.evaluation.sums[0])
         rows, inflation = rows_and_inflation(problem, vector)
