@@ -9,6 +9,8 @@ import pytest
 import trackwright as tw
 from tests.in_process import trackwright
 from tests.oracles import kalman, van_loan
+from trackwright.sim.corruptions import white_noise
+from trackwright.sim.ranging import RangeDraw, chamber
 from trackwright.trackers.core.model.rig import Rig, Tag
 from trackwright.trackers.recordings.folder import RecordingFolder, write_recording
 from trackwright.tuning.own_levels import fitted
@@ -45,6 +47,15 @@ def _kalman_rmse(folder, sigma_a, sigma):
         seen = np.ones((ROWS - 1, 1), bool)
         errors.append(kalman(steps, H, R, fix[1:, None], seen, mean, cov)[0][:, 0] - true[1:])
     return np.sqrt(sum(np.sum(np.square(e)) for e in errors) / ROWS)
+
+
+def test_white_ranges_of_anchors_at_one_height_end_without_errors_that_last():
+    places = np.array([[0, 0, 3.0], [12, 0, 3], [12, 8, 3], [0, 8, 3], [6, 0, 3], [6, 8, 3]])
+    draw = RangeDraw(chamber(places), corruptions={"white": white_noise(0.08)}, n_points=400, rate_hz=5.0)
+    folder = draw.drawn(1, seed=2).folder("ceiling")
+    own = fitted(named := tw.build("uwb", folder), folder)
+    before, after = (tw.evaluate(one.run(folder), folder)["rmse_3d_m"] for one in (named, own.tracker))
+    assert after < 0.12 < 0.5 < before
 
 
 @pytest.mark.parametrize(("sigma_a", "sigma"), [pytest.param(0.02, 0.3, marks=pytest.mark.slow), (2.0, 0.03)])

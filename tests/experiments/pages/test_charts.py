@@ -37,11 +37,6 @@ def _lines(chart):
     return {part.name.partition(":")[0]: part for part in chart.parts if part.name}
 
 
-def _changed(tracks, **columns):
-    """The recording with other columns in its table."""
-    return replace(tracks.recordings[0], rows=tracks.rows.with_columns(**columns))
-
-
 @pytest.fixture(scope="module")
 def scored():
     return small_tracks().recordings[0]
@@ -82,7 +77,8 @@ def test_lines_are_broken_in_gaps_only_and_numbers_have_nine_digits():
 
 def test_wild_estimates_are_counted_and_do_not_decide_the_scale_of_the_plan():
     wild = pl.when(pl.int_range(pl.len()) == 40).then(1e4).otherwise(pl.col("x_m"))
-    chart = charts.floor_plan(_changed(small_tracks(tags=("A",)), x_m=wild))
+    tracks = small_tracks(tags=("A",))
+    chart = charts.floor_plan(replace(tracks.recordings[0], rows=tracks.rows.with_columns(x_m=wild)))
     assert chart.xlim[1] < 20
     assert "1 of 80 estimates lie outside the axes." in chart.note
     assert {"truth", "tag A", "anchor"} == {*_lines(chart)}

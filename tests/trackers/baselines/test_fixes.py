@@ -74,10 +74,6 @@ def circling():
     return Recording(times, readings, {"height": np.ones(len(times))}, truth), position
 
 
-def _with_latency(latency):
-    return eqx.tree_at(lambda t: t.sensors[FIXES].latency, fix_tracker(), FixSensor(0.1, 0.3, None, latency).latency)
-
-
 def test_a_second_sensor_without_latency_identifies_the_latency_without_truth(circling):
     recording, position = circling
     other = position(recording.times) + 0.05 * np.random.default_rng(2).normal(size=(len(recording), 3))
@@ -99,7 +95,8 @@ def test_a_second_sensor_without_latency_identifies_the_latency_without_truth(ci
 
 def test_estimates_are_valid_at_the_time_of_measurement_and_near_the_true_positions_then(circling):
     recording, position = circling
-    tracker = _with_latency(0.4)
+    sensor = FixSensor(0.1, 0.3, None, 0.4)
+    tracker = eqx.tree_at(lambda t: t.sensors[FIXES].latency, fix_tracker(), sensor.latency)
     estimates, at_rows = tracker.run(recording), dataclasses.replace(tracker, latency_of=None).run(recording)
     np.testing.assert_allclose(estimates.times, recording.times - 0.4)
     np.testing.assert_array_equal(at_rows.times, recording.times)

@@ -54,10 +54,6 @@ def _places(*places: list[float]) -> Make:
     return with_anchors(lambda anchors: dict(zip(anchors, np.array(places, float), strict=True)))
 
 
-def _anchor(name: str, place: tuple[float, float, float]) -> Make:
-    return with_anchors(lambda _: {name: np.array(place)})
-
-
 def _exchanged(one: str, other: str) -> Make:
     return with_anchors(lambda anchors: {one: anchors[other], other: anchors[one]})
 
@@ -174,7 +170,7 @@ WORLDS: dict[str, tuple[Callable[[], RecordingFolder], dict[str, Case]]] = {
             "warning", "m without anchor A4", with_columns("ranges", range_m=pl.when(A1 == "A4").then(R / 0.3048).otherwise(R)),
         ),
         "a broken anchor": Case("warning", "without anchor A5", with_columns("ranges", range_m=pl.when((A1 == "A5") & (T > 10)).then(5.0).otherwise(R))),
-        "an anchor elsewhere": Case("warning", "without anchor A2", together(only("ranges"), _anchor("A2", (6.0, -6.0, 2.4)))),
+        "an anchor elsewhere": Case("warning", "without anchor A2", together(only("ranges"), with_anchors(lambda _: {"A2": np.array([6.0, -6.0, 2.4])}))),
         "half a second": Case("info", "from 0 to 0.4 s", lambda one: replace(one, tables={k: t.filter(T < 0.5) for k, t in one.tables.items()})),
         "an offset of all": Case("error", "m subtracted: an offset of the ranges", with_columns("ranges", R + 1.5)),
         "azimuths alone without a height": Case(
