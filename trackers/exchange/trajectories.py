@@ -266,11 +266,10 @@ def compare_trajectories(
 ) -> TrajectoryErrors:  # fmt: skip
     """The errors of an estimated trajectory, as evo defines them: of poses at most `tolerance`, s, apart.
 
-    Where none are so near, of those at most half a step of the finer times apart.
-
-    Tables of one tag with t_s, x_m, y_m and, where known, z_m, qw … qz. `align`: see `alignment`. `time_offset`: s,
-    added to the times of the estimate. `rpe`: steps as 1m, 1s or 10f (rows). Relative errors are of displacements in
-    the frame of the truth, with attitudes in the body's. Raises UnusableInput where nothing fits.
+    Where none are, at most half a step of the finer times. Tables of one tag with t_s, x_m, y_m and, where known, z_m,
+    qw … qz. `align`: see `alignment`. `time_offset`: s, added to the times of the estimate. `rpe`: steps as 1m, 1s or
+    10f (rows); relative errors are of displacements in the frame of the truth, with attitudes in the body's. Raises
+    UnusableInput where nothing fits.
     """
     steps = [step_of(text) for text in rpe]
     require(tolerance >= 0, "tolerance", tolerance, "a time of zero or more, s")
