@@ -344,7 +344,7 @@ def _written(
     guard, line = name.upper(), "\n"
     bodies = "\n\n".join(line.join([signature, "{", *body, "}"]) for signature, body in functions.items())
     header = f"""/*
- * {about}, written by trackwright.
+ * {about.replace("*/", "* /")}, written by trackwright.
 {line.join(levels)}
  */
 #ifndef {guard}_H
