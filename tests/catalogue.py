@@ -263,7 +263,7 @@ _MHK_IDLE = ("*.reported_std_scale",)  # fixes that become medians lose the vari
 
 _GRID_IDLE = ("filter.output_map.sigma_line",)  # the width of the line is part of reported covariances alone
 
-_RESTING_IDLE = ("start.sigma_speed", *_GRID_IDLE)  # A tag that starts at rest has no speed
+_RESTING_IDLE = ("start.sigma_speed", *_GRID_IDLE)  # a tag that starts at rest has no speed
 
 
 def _ready_cases() -> Iterator[Case]:

@@ -36,7 +36,8 @@ from trackwright.trackers.parts.fixes import correlated
 Matrix = Float[np.ndarray, "n n"] | Callable[..., Any] | tuple[Callable[..., Any], Mapping[str, float]]
 """A covariance: an array; a function of `dt`, s; or a function of `dt` and numbers to tune, with their first values.
 
-One R holds for all rows, whatever `dt`: the argument is there for the same form."""
+One R holds for all rows, whatever `dt`: the argument is there for the same form.
+"""
 
 SENSOR = "z"  # the name of the readings where there is one sensor alone
 # Variance of each component of the state where no `P0` is given, and the least of them in single precision.

@@ -55,13 +55,7 @@ def scored_rows(tracks: pl.DataFrame, truths: Truths, stations: Stations | None 
     status = np.where(usable, status, TruthStatus.NO_ESTIMATE)
     scored = status == TruthStatus.SCORED
     columns = {f"true_{axis}": x for axis, x in zip(AXES, truth.T, strict=True)}
-    columns |= _judged(rows, true := np.where(scored[:, None], truth, np.nan), stations or {}, track)
-    if not is_bearing(rows):
-        # Errors along the velocity of the truth until the next row are those of a time.
-        step = np.where(np.diff(track) == 0, np.diff(times), np.nan)
-        velocity = np.diff(true[:, :2], axis=0) / np.where(step > 0.0, step, np.nan)[:, None]
-        errors = np.stack([columns["error_x_m"], columns["error_y_m"]], axis=1)[:-1]
-        columns["along"], columns["way"] = (np.append((x * velocity).sum(axis=1), np.nan) for x in (errors, velocity))
+    columns |= _judged(rows, np.where(scored[:, None], truth, np.nan), stations or {}, track)
     columns |= _innovations(rows, track) | _lost(rows, times, track)
     if HEADING in rows.columns:
         turned = np.abs(wrapped(float_column(rows, HEADING) - headings))
@@ -172,6 +166,11 @@ def _judged(rows: pl.DataFrame, truth: np.ndarray, stations: Stations, track: np
     columns |= _consistency(errors[:, :2], P[:, :2, :2], reported, track, "", not bearing)
     if bearing:
         return columns
+    # Errors along the velocity of the truth until the next row are those of a time.
+    step = np.where(np.diff(track) == 0, np.diff(float_column(rows, "t_s")), np.nan)
+    velocity = np.diff(truth[:, :2], axis=0) / np.where(step > 0.0, step, np.nan)[:, None]
+    along, way = ((x * velocity).sum(axis=1) for x in (errors[:-1, :2], velocity))
+    columns |= {"along": np.append(along, np.nan), "way": np.append(way, np.nan)}
     # A known height has no standard deviation in any row of its track.
     free = np.bincount(track, np.nan_to_num(float_column(rows, "std_z_m")) != 0)[track] > 0
     return columns | _consistency(errors, P, [*reported, np.where(free, P[:, 2, 2], np.nan)], track, "_3d")

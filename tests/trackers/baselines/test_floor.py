@@ -15,7 +15,7 @@ from trackwright.trackers.recordings.folder import RecordingFolder, read_recordi
 OUTLINE = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 8.0], [10.5, 8.0], [10.5, 1.5], [0.0, 1.5]])
 """A corridor 1.5 m wide that turns left, m."""
 
-SPARE = np.array([[11.5, 9.0, 12.0, 9.0]])  # A wall that nobody meets
+SPARE = np.array([[11.5, 9.0, 12.0, 9.0]])  # a wall that nobody meets
 
 
 def _folder():

@@ -33,13 +33,13 @@ def _results(recording: RecordingFolder, full: bool, calibrated: bool = False) -
     results += rules.check_units(rig, tables)
     # Wrong units or times are a mistake that is named already.
     sound = all(one.level != "error" for one in results)
-    for name in measured if sound else ():
+    for name in (name for name in measured if sound and not KINDS[name].numbered):
         view, kind, before = compared(recording, name), KINDS[name], len(results)
-        if view is not None and not kind.numbered and view.large().any():
+        if view is not None and view.large().any():
             results += mistakes.check_mistakes(view, calibrated)
         # A height that is wrong contradicts all kinds.
         quiet = len(results) == before and all(one.level != "error" for one in results) and not calibrated
-        if quiet and kind.sensors and kind.predicted and not kind.numbered:
+        if quiet and kind.sensors and kind.predicted:
             results += mistakes.check_contradictions(recording, name)
     # Heights are a part of the frame.
     if "truth" in tables and not any(one.level == "error" and "the truth" in one.message for one in results):
