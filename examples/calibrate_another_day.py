@@ -36,7 +36,7 @@ for name, anchor in calibration.anchors.items():
     true = f", true {BIAS[name]:+.2f} m" if len(sys.argv) == 1 else ""
     print(f"anchor {name}: {bias:+.3f} ± {error:.3f} m{true}, {100 * slope:+.1f} % of the distance")
 for name, station in calibration.stations.items():
-    print(f"station {name}: azimuth offset and gain {station.terms[0, :2].round(3)}")
+    print(f"station {name}: azimuth offset and gain {station.coefficients[0, :2].round(3)}")
 tw.write_calibration(calibration, "calibration.toml")  # for `trackwright track --calibration calibration.toml`
 
 # Judged on a day that the calibration has not seen: its errors are not those that were fitted.

@@ -14,7 +14,7 @@ if len(sys.argv) > 2:
     *walks, other = [tw.read(folder) for folder in sys.argv[1:]]
 else:
     # Ranges three times as noisy as the tracker assumes, of anchors with biases.
-    walks = [tw.simulate.ranges(n=2, seed=4, rows=150, sigma_r=0.25).folder()]
+    walks = [tw.simulate.ranges(n=4, seed=4, rows=150, sigma_r=0.25).folder()]
     other = tw.simulate.ranges(n=2, seed=5, rows=150, sigma_r=0.25).folder()
 
 tracker = tw.build("uwb", walks[0])
