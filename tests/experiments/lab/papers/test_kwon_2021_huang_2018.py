@@ -42,7 +42,7 @@ def test_a_fit_of_an_unknown_name_is_refused_with_the_names_there_are():
 @pytest.mark.slow
 @pytest.mark.parametrize("module", [chamber, line_of_sight, table_4], ids=lambda m: m.STUDY.name)
 def test_at_the_fitted_parameters_our_numbers_are_the_printed_ones(module):
-    numbers = fitted("/".join(module.__name__.split(".")[2:]))
+    numbers = fitted("/".join(module.__name__.split(".")[3:]))
     # A fit that has more printed numbers than it can reach, ends within some per cent of them.
     np.testing.assert_allclose(module.fit.ratios(numbers), 1.0, atol=0.03)
 
