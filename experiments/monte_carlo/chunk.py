@@ -18,7 +18,7 @@ import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
 from trackwright.experiments.monte_carlo.program import ChunkProgram, UnfitError, compiled, part_of, piece_of
-from trackwright.experiments.monte_carlo.tracked import TrackedRuns, scored, tracked_runs
+from trackwright.experiments.monte_carlo.tracked import TrackedRuns, rows_of, scored
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
@@ -29,7 +29,7 @@ from trackwright.trackers.core.run.smoother import Smoothed
 from trackwright.trackers.core.run.tracker import Tracker
 from trackwright.trackers.evaluation.bounds import posterior_bound
 from trackwright.trackers.recordings.folder import RecordingFolder
-from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectories, rounded
+from trackwright.trackers.recordings.tracks import TrackerBatch, Trajectories, track
 
 BOUNDED = 256  # trajectories at most over which the information of a Cramér–Rao bound is averaged
 
@@ -61,10 +61,14 @@ def _scored(
     study: Study, config: TrackerConfig, batches: Callable[[], list[TrackerBatch]], ids: np.ndarray
 ) -> dict[str, np.ndarray]:
     """The sums, histograms and measures of a tracker's estimates of recordings."""
-    runs = _track(batches(), ids, study, config)
-    arrays = scored(runs)
+    groups = [_of_ids(batch, ids) for batch in batches()]
+    if not groups:
+        raise UnusableInput("the world has no tag to track; expected one for each id")
+    folder = groups[0].trajectories[0].folder
+    rows = rows_of(track(groups, seed=study.seed).table, folder, ids, config.every)
+    arrays = scored(rows, len(ids))
     for measure, function in study.measures.items():
-        values = arrays[f"measure {measure}"] = np.asarray(function(runs), float)
+        values = arrays[f"measure {measure}"] = np.asarray(function(TrackedRuns.of(rows, folder)), float)
         if values.shape != ids.shape:
             found = f"measure '{measure}' returns shape {values.shape}; expected {ids.shape}"
             raise UnusableInput(f"study '{study.name}': {found}, one number for each trajectory")
@@ -127,19 +131,11 @@ def _batches(study: Study, condition: Condition, name: str, folder: RecordingFol
     return batches
 
 
-def _track(batches: list[TrackerBatch], ids: np.ndarray, study: Study, config: TrackerConfig) -> TrackedRuns:
-    """The estimates of all trajectories."""
-    tracked = []
-    for batch in batches:
-        trajectories = Trajectories.of(batch.trajectories)
-        # Further tags of a body are no trajectories of their own.
-        trajectories = trajectories.chosen(np.flatnonzero(np.isin(trajectories.tags, ids.astype(str))))
-        longest = int(np.diff(trajectories.columns.starts).max())
-        stacked = trajectories.columns.batch(rounded(longest), seed=study.seed, truth=False)
-        # Padded to whole chunks, so that the bits depend neither on the number of trajectories nor of devices.
-        whole = stacked.columns(0, study.chunk * -(-stacked.size // study.chunk))
-        tracked.append((trajectories, batch.tracker.for_positions().run(whole, study.chunk)))
-    return tracked_runs(ids, tracked, all(batch.planar for batch in batches), config.every)
+def _of_ids(batch: TrackerBatch, ids: np.ndarray) -> TrackerBatch:
+    """The batch without further tags of a body, which are no trajectories of their own."""
+    trajectories = Trajectories.of(batch.trajectories)
+    own = np.flatnonzero(np.isin(trajectories.tags, ids.astype(str)))
+    return replace(batch, trajectories=trajectories.chosen(own))
 
 
 def _bounds(batches: list[TrackerBatch]) -> np.ndarray:

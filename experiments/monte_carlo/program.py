@@ -134,7 +134,7 @@ class Rows(eqx.Module):
         *moments, nis, dof, status = output
         axes = {2: 1, 5: 2, 9: 3}[len(moments)]
         estimates, sequences = jnp.stack(moments[:axes], axis=-1), len(self.heights)
-        known = self._known(status, jnp.isfinite(estimates[..., :2]).all(axis=-1))
+        there, known = self._counted(status, jnp.isfinite(estimates[..., :2]).all(axis=-1))
         if axes < truth.shape[-1]:
             height = jnp.repeat(self.heights, nis.shape[1] // sequences)[:, None]
             estimates = jnp.concatenate([estimates, jnp.broadcast_to(height, (*nis.shape, 1))], axis=-1)
@@ -143,7 +143,7 @@ class Rows(eqx.Module):
             return x.sum(axis=0, dtype=nis.dtype).reshape(sequences, -1).sum(axis=0)
 
         entries = dict(zip(triangle(axes), moments[axes:], strict=True))
-        found, sizes = sums(estimates, truth, entries, known, (status, nis, dof), total)
+        found, sizes = sums(estimates, truth, entries, there, known, (status, nis, dof), total)
         if axes < truth.shape[-1]:
             sizes["3d_m"] = sizes["m"]
         rows = {kind: size.reshape(len(size), sequences, -1) for kind, size in sizes.items()}
@@ -151,19 +151,19 @@ class Rows(eqx.Module):
         of_rows = {kind: cells(size, jnp.arange(n, dtype=jnp.int32), n) for kind, size in rows.items()}
         return Scores(found, {kind: size.max(axis=(0, 1)) for kind, size in rows.items()}, of_rows)
 
-    def _known(self, status: Int[Array, "R B"], finite: Bool[Array, "R B"]) -> Bool[Array, "R B"]:
-        """The rows that are scored: the last of each time, of those with an estimate the last of each interval."""
+    def _counted(self, status: Int[Array, "R B"], finite: Bool[Array, "R B"]) -> tuple[Bool[Array, "R B"], ...]:
+        """The last row of each time, and of those with an estimate the last of each interval, which are scored."""
 
         def last(rows: Bool[Array, "R B"], number: Int[np.ndarray, " R"]) -> Bool[Array, "R B"]:
             later = jax.lax.cummin(jnp.where(rows, number[:, None], TICKS), reverse=True)
             return rows & (jnp.concatenate([later[1:], jnp.full_like(later[:1], TICKS)]) > number[:, None])
 
-        usable = is_usable(status)
-        if self.times_differ:
-            return last(usable & finite, self.interval)
-        failed = jax.ops.segment_max((status == Status.NON_FINITE).astype(jnp.int8), self.group, len(self.group))
-        usable &= last(status != Status.PADDING, self.group) & (failed[self.group] <= 0)
-        return last(usable & finite, self.interval)
+        there, usable = status != Status.PADDING, is_usable(status)
+        if not self.times_differ:
+            failed = jax.ops.segment_max((status == Status.NON_FINITE).astype(jnp.int8), self.group, len(self.group))
+            there = last(there, self.group)
+            usable &= there & (failed[self.group] <= 0)
+        return there, last(usable & finite, self.interval)
 
 
 def _flat(arrays: list[Array]) -> Array:

@@ -29,7 +29,7 @@ from trackwright.trackers.core.programs import keep
 from trackwright.trackers.recordings.files import config_hash, file_bytes, json_text, read_arrays, write_whole
 
 IDENTITY, CHUNKS = "study.json", "chunks"
-FORMAT = 5  # of the files of chunks; a folder with another format holds another study
+FORMAT = 6  # of the files of chunks; a folder with another format holds another study
 Part = tuple[int, int]  # a chunk: the index of its condition, and its number among the chunks of that
 Advance = Callable[..., None]
 """Progress: called with the number of finished chunks, and optionally the label of a condition."""

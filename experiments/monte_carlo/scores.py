@@ -26,6 +26,7 @@ def sums(
     estimates: Float[Any, "*rows axes"],
     truth: Float[Any, "*rows axes"],
     entries: Mapping[tuple[int, int], Float[Any, "*rows"]],
+    there: Bool[Any, "*rows"],
     known: Bool[Any, "*rows"],
     steps: tuple[Int[Any, "*rows"], Float[Any, "*rows"], Float[Any, "*rows"]],
     total: Callable[[Any], Any],
@@ -33,11 +34,11 @@ def sums(
     """The sums of each trajectory by name, and the sizes of errors (rows) by kind, −1 where a row has none.
 
     `estimates`: positions in space or, with two axes, azimuth and elevation; `entries`: of their covariance's upper
-    triangle, without a known height. `known`: the rows that are scored. `steps`: status, NIS and its degrees of
-    freedom. `total`: of a number per row, the sum of each trajectory.
+    triangle, without a known height. `there`: the last row of each time; `known`: those that are scored. `steps`: of
+    all rows status, NIS and its degrees of freedom. `total`: of a number per row, the sum of each trajectory.
     """
     xp, (status, nis, dof) = known.__array_namespace__(), steps
-    bearing, there = estimates.shape[-1] == 2, status != Status.PADDING
+    bearing = estimates.shape[-1] == 2
     if bearing:
         errors, sizes = bearing_sizes(estimates, truth)
     else:
@@ -47,7 +48,7 @@ def sums(
     def where(mask: Any, x: Any) -> Any:
         return total(xp.where(mask, x, 0.0))
 
-    found = {"n_rows": total(there), "n": total(known), "lost rows": total(status == Status.LOST)}
+    found = {"n_rows": total(there), "n": total(known), "lost rows": total(there & (status == Status.LOST))}
     for k, name in enumerate(ANGLES if bearing else AXES):
         # In the plane of an array the angles' errors are unknown.
         found[f"bias {name}"] = where(known & ~xp.isnan(sizes.get(name, errors[..., k])), errors[..., k])
@@ -64,8 +65,8 @@ def sums(
         for p in LEVELS:
             found[f"inside {p} {name}"] = total(known & (value <= chi_square_quantile(p / 100, d)))
         found[f"judged {name}"] = total(known & ~xp.isnan(value))
-    counted = there & xp.isfinite(nis) & (dof > 0)
-    found |= {"nis": where(counted, nis), "dof": where(counted, dof), "n nis": total(counted)}
+    counted = (status != Status.PADDING) & xp.isfinite(nis) & (dof > 0)
+    found |= {"nis": where(counted, nis), "dof": where(counted, dof)}
     failed, restarted = total(status == Status.NON_FINITE), total(status == Status.RESTARTED)
     found |= {"diverged": (failed + restarted + found["lost rows"]) > 0, "trajectories": xp.ones_like(failed)}
     return {**found, "failed": (failed > 0) | (found["n"] == 0)}, sizes

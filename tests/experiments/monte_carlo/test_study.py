@@ -5,9 +5,8 @@ import pytest
 from tests.experiments.monte_carlo.small_study import SMALL, TOML
 from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.experiments.monte_carlo.runner import run_study
-from trackwright.experiments.monte_carlo.scores import Scores, arrays_of, cells
+from trackwright.experiments.monte_carlo.scores import Scores, arrays_of, cells, sums
 from trackwright.experiments.monte_carlo.sources import load_study
-from trackwright.experiments.monte_carlo.tracked import TrackedRuns, scored
 from trackwright.experiments.pages.study import to_text
 from trackwright.trackers.core.data.estimates import Status
 from trackwright.trackers.core.errors import UnusableInput
@@ -23,15 +22,24 @@ def whole(tmp_path_factory):
 
 
 def _normal_tracked(seed, n=7, rows=50):
-    """Tracked runs from random errors and covariances, and these errors."""
+    """Random errors and covariances of tracks, as `sums` takes them, and these errors (n, rows, 3)."""
     rng = np.random.default_rng(seed)
     truth, scale = rng.normal(size=(n, rows, 3)), np.exp(rng.normal(size=(n, 1, 1)))
     errors, known = 0.3 * scale * rng.normal(size=(n, rows, 3)), rng.uniform(size=(n, rows)) > 0.2
-    covariance = np.broadcast_to(0.09 * np.eye(3), (n, rows, 3, 3))
+    entries = {(i, j): np.full((n, rows), 0.09 * (i == j)) for i in range(3) for j in range(i, 3)}
     status = np.where(rng.uniform(size=(n, rows)) < 0.01, Status.LOST, Status.OK)
-    nis, dof = rng.chisquare(2, (n, rows)), np.full((n, rows), 2.0)
-    tracked = TrackedRuns(np.zeros((n, rows)), truth + errors, covariance, truth, known, status, nis, dof, None)
-    return tracked, errors
+    steps = status, rng.chisquare(2, (n, rows)), np.full((n, rows), 2.0)
+    return (truth + errors, truth, entries, known, steps), errors
+
+
+def _summed(estimates, truth, entries, known, steps):
+    """The arrays of a chunk's program for these estimates."""
+    n = len(known)
+    found, sizes = sums(
+        estimates, truth, entries, known | True, known, steps, lambda x: x.reshape(n, -1).sum(axis=1, dtype=float)
+    )
+    of_rows = {kind: cells(size, np.arange(n)[:, None], n) for kind, size in sizes.items()}
+    return arrays_of([Scores(found, {kind: size.max(axis=1) for kind, size in sizes.items()}, of_rows)], n)
 
 
 def _results_of(kept, runs, study=SMALL):
@@ -40,22 +48,22 @@ def _results_of(kept, runs, study=SMALL):
     return Results(study, {(0, "kalman"): totals})
 
 
-def _as_tables(tracked):
+def _as_tables(estimates, truth, _, known, steps):
     """The same as a table of estimates and one of truth."""
-    n, rows = tracked.known.shape
+    n, rows = known.shape
     keys = {"tag": np.repeat([f"{k:03}" for k in range(n)], rows), "t_s": np.tile(np.arange(rows), n)}
     words = {Status.OK: "ok", Status.LOST: "lost"}
-    table = {f"{a}_m": np.where(tracked.known, tracked.estimates[..., k], np.nan).ravel() for k, a in enumerate("xyz")}
-    table |= {f"std_{a}_m": np.full(n * rows, 0.3) for a in "xyz"} | {"nis": tracked.nis.ravel()}
-    table |= {"nis_dof": tracked.dof.ravel(), "status": [words[code] for code in tracked.status.ravel()]}
-    truth = {f"{a}_m": tracked.truth[..., k].ravel() for k, a in enumerate("xyz")}
-    return pl.DataFrame(keys | table).with_columns(recording=pl.lit("")), pl.DataFrame(keys | truth)
+    table = {f"{a}_m": np.where(known, estimates[..., k], np.nan).ravel() for k, a in enumerate("xyz")}
+    table |= {f"std_{a}_m": np.full(n * rows, 0.3) for a in "xyz"} | {"nis": steps[1].ravel()}
+    table |= {"nis_dof": steps[2].ravel(), "status": [words[code] for code in steps[0].ravel()]}
+    true = {f"{a}_m": truth[..., k].ravel() for k, a in enumerate("xyz")}
+    return pl.DataFrame(keys | table).with_columns(recording=pl.lit("")), pl.DataFrame(keys | true)
 
 
 def test_the_metrics_of_a_study_are_those_of_evaluate_on_the_same_trajectories():
     tracked, _ = _normal_tracked(3)
-    found = _results_of(scored(tracked), 7)
-    tracks, truth = _as_tables(tracked)
+    found, status = _results_of(_summed(*tracked), 7), tracked[-1][0]
+    tracks, truth = _as_tables(*tracked)
     expected = Evaluation.of(scored_rows(tracks, {"": truth})).overall
     value = {name: found.at(name, SMALL.conditions[0], "kalman").value for name in METRICS}
     value = {name: x for name, x in value.items() if np.isfinite(x)}
@@ -66,21 +74,19 @@ def test_the_metrics_of_a_study_are_those_of_evaluate_on_the_same_trajectories()
         assert value[name] == pytest.approx(expected[name], rel=1e-9), name
     for name in percentiles:
         assert value[name] == pytest.approx(expected[name], rel=0.05), name
-    assert value["lost_fraction"] == np.mean(tracked.status == Status.LOST)
-    assert value["diverged"] == np.mean((tracked.status == Status.LOST).any(axis=1))
+    assert value["lost_fraction"] == np.mean(status == Status.LOST)
+    assert value["diverged"] == np.mean((status == Status.LOST).any(axis=1))
 
 
 def test_of_directions_in_the_plane_of_an_array_the_angle_alone_is_judged():
-    tracked, errors = _normal_tracked(4)
+    (*_, known, steps), errors = _normal_tracked(4)
     errors = 0.1 * errors
     azimuth = np.where(np.arange(50) == 5, np.pi / 2, 0.3 + errors[..., 0])
-    estimates = np.stack([azimuth, 0.2 + errors[..., 1]], axis=-1)[:, :, None]
-    truth, one = np.broadcast_to([0.3, 0.2], estimates.shape), tracked.known[:, :, None]
-    covariance = np.broadcast_to(0.09 * np.eye(2), (*one.shape, 2, 2))
-    rows = {name: getattr(tracked, name)[:, :, None] for name in ("status", "nis", "dof")}
-    kept = scored(tracked._replace(estimates=estimates, truth=truth, covariance=covariance, known=one, **rows))
-    judged = tracked.known & (np.arange(50) != 5)
-    assert kept["sum n direction_rad"].sum() == tracked.known.sum()
+    estimates = np.stack([azimuth, 0.2 + errors[..., 1]], axis=-1)
+    entries = {(i, j): np.full(known.shape, 0.09 * (i == j)) for i, j in ((0, 0), (0, 1), (1, 1))}
+    kept = _summed(estimates, np.broadcast_to([0.3, 0.2], estimates.shape), entries, known, steps)
+    judged = known & (np.arange(50) != 5)
+    assert kept["sum n direction_rad"].sum() == known.sum()
     for k, angle in enumerate(("azimuth_rad", "elevation_rad")):
         np.testing.assert_array_equal(kept[f"sum n {angle}"], judged.sum(axis=1))
         np.testing.assert_allclose(kept[f"sum bias {angle}"], np.where(judged, errors[..., k], 0.0).sum(axis=1))
