@@ -31,6 +31,7 @@ from trackwright.trackers.core.run.tracker import AbstractTracker, Tracker
 from trackwright.trackers.recordings.files import write_whole
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.named_tracker import NamedTracker
+from trackwright.trackers.recordings.tracks_table import require_new
 
 SIGNS = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/", "and": "&", "or": "|"}
 SIGNS |= {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
@@ -40,7 +41,7 @@ TEMPLATES = {
     **{name: name + "{f}({0})" for name in ("ceil", "floor", "acos", "asin", "lgamma", "erf")},
     **{name: name + "{f}({0}, {1})" for name in ("atan2", "pow")},
     "abs": "fabs{f}({0})",
-    "round": "rint{f}({0})",
+    "round": "{nearest}{f}({0})",
     # As in XLA what is no number wins.
     "max": "({0} > {1} || {0} != {0}) ? {0} : {1}",
     "min": "({0} < {1} || {0} != {0}) ? {0} : {1}",
@@ -135,18 +136,21 @@ def _traced(function: Callable[..., Any], double: bool, **arguments: Any) -> _Te
     return _Text(lines, results, needed, shapes)
 
 
-def write_c(named: NamedTracker, recording: RecordingFolder, out: Path, double: bool = False) -> list[Path]:
+def write_c(named: NamedTracker, recording: RecordingFolder, out: Path, force: bool = False) -> list[Path]:
     """Writes the C source of a tracker for a recording: `out`, its header, and the rows of the first tag as CSV.
 
-    The name of the file is that of the functions. Raises UnusableInput as `c_source`, and for several trackers.
+    The name of the file is that of the functions. `force`: replace files. Raises UnusableInput as `c_source`.
     """
     batches = named.batches(recording)
     if len(batches) > 1:
         raise UnusableInput(f"{recording.path}: its tags need {len(batches)} trackers; expected one; choose a --tag")
     first, name = batches[0].trajectories[0].recording, _identifier(out.stem)
-    source = c_source(batches[0].tracker, first, name, f"{named.name} for {recording.name}", double)
+    zero = f"; positions are from x = {recording.origin[0]!r}, y = {recording.origin[1]!r} m" * any(recording.origin)
+    source = c_source(batches[0].tracker, first, name, f"{named.name} for {recording.name}{zero}")
     rows = "".join(",".join(map(repr, row)) + "\n" for row in rows_of(first, source.columns).tolist())
     files = {out: source.body, out.with_name(f"{name}.h"): source.header, out.with_suffix(".csv"): rows}
+    for path in files:
+        require_new(path, path.name, force)
     return [write_whole(path, text) for path, text in files.items()]
 
 
@@ -209,7 +213,7 @@ class _Program:
             return self.run(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), inputs)
         if name in SAME:
             return inputs
-        if not any(isinstance(x, str) for array in inputs for x in array.ravel()):
+        if not any(isinstance(x, str) for array in inputs for x in array.flat):
             values = [jnp.asarray(x.tolist(), v.aval.dtype) for x, v in zip(inputs, equation.invars, strict=True)]
             return _bound(equation, values)
         if name in MOVED:
@@ -240,14 +244,14 @@ class _Program:
         return reduce(lambda whole, part: self.each(name, [_objects(whole), _objects(part)], {}, dtype), parts)
 
     def each(self, name: str, inputs: list[np.ndarray], parameters: Mapping[str, Any], dtype: Any) -> np.ndarray:
-        """An operation on each element; raises NotImplementedError for any other one."""
-        if name not in (*TEMPLATES, POWER, CONVERTED) or (name == "select_n" and len(inputs) != 3):
-            raise NotImplementedError(name)
+        """An operation on each element; raises NotImplementedError for any other one, and for integers that wrap."""
+        whole, size = np.issubdtype(dtype, np.integer), np.dtype(dtype).itemsize
+        wraps = whole and (name == "not" or (size < 4 and name in ("add", "sub", "mul", "neg")))
+        if wraps or name not in (*TEMPLATES, POWER, CONVERTED) or (name == "select_n" and len(inputs) != 3):
+            raise NotImplementedError(f"{name} of {dtype}" if wraps else name)
         spread = np.broadcast_arrays(*inputs)
-        result = np.empty(spread[0].shape, object)
-        for index in np.ndindex(result.shape):
-            result[index] = self.operation(name, [x[index] for x in spread], parameters, dtype)
-        return result
+        results = [self.operation(name, x, parameters, dtype) for x in zip(*(x.flat for x in spread), strict=True)]
+        return np.array(results, object).reshape(spread[0].shape)
 
     def operation(self, name: str, given: Sequence[Any], parameters: Mapping[str, Any], dtype: Any) -> str:
         """The variable with the result of an operation on numbers."""
@@ -256,9 +260,10 @@ class _Program:
             flag, whole = np.issubdtype(dtype, np.bool_), np.issubdtype(dtype, np.integer)
             return self.variable(f"{x[0]} != 0" if flag else f"({'int' if whole else self.real}){x[0]}", dtype)
         if name == POWER:
-            power = " * ".join(x * abs(parameters["y"]))
-            return self.variable(power if parameters["y"] > 0 else f"1 / ({power})", dtype)
-        return self.variable(TEMPLATES[name].format(*x, f=self.suffix, real=self.real), dtype)
+            power = " * ".join(x * abs(parameters["y"])) or "1"
+            return self.variable(power if parameters["y"] >= 0 else f"1 / ({power})", dtype)
+        nearest = "rint" if parameters.get("rounding_method") == jax.lax.RoundingMethod.TO_NEAREST_EVEN else "round"
+        return self.variable(TEMPLATES[name].format(*x, f=self.suffix, real=self.real, nearest=nearest), dtype)
 
     def variable(self, expression: str, dtype: Any) -> str:
         """The variable with the value of an expression, one for equal ones."""
@@ -297,8 +302,7 @@ def _objects(values: Any) -> np.ndarray:
 
 def _bound(equation: Any, values: Sequence[Any]) -> list[Any]:
     """The results of an equation for these values."""
-    found = equation.primitive.bind(*values, **equation.params)
-    return list(found) if equation.primitive.multiple_results else [found]
+    return jax.tree_util.tree_leaves(equation.primitive.bind(*values, **equation.params))
 
 
 def _written(
@@ -312,28 +316,25 @@ def _written(
         leaves.append((f"r{k}", x))
         sources |= {f"r{k}_{i}": f"row->{_column(path, i)}" for i in range(np.size(x))}
     flags = {key for key, x in leaves if x.dtype == bool}
-    columns = tuple(source[5:] for key, source in sources.items() if key in step.needed and source.startswith("row"))
-    loads = [
-        f"    const {'int' if (flag := key.partition('_')[0] in flags) else real} {key} = {source}{' != 0' * flag};"
-        for key, source in sources.items()
-        if key in step.needed
-    ]
+    read = [(key, source, key.partition("_")[0] in flags) for key, source in sources.items() if key in step.needed]
+    columns = tuple(source[5:] for _, source, _ in read if source.startswith("row"))
+    loads = [f"    const {'int' if f else real} {key} = {source}{' != 0' * f};" for key, source, f in read]
 
     def stored(arrays: Sequence[Any], target: str = "    state->s[{}] = {};") -> list[str]:
-        flat = (x for array in arrays for x in np.asarray(array).ravel())
-        return [target.format(k, program.text(x)) for k, x in enumerate(flat)]
+        return [target.format(k, program.text(x)) for k, x in enumerate(y for of in arrays for y in np.ravel(of))]
 
     components = component_names(step.shapes[1][0])
     names = [*components, *(f"cov_{k}" for k in range(len(step.shapes[1][1]))), *scan.StepInfo._fields]
     outputs = [_identifier(output) for output in names]
     outs = [line.format(*outputs) for line in stored(step.results[len(state) :], "    out->{{{}}} = {};")]
     levels = [f" * {key} = {np.asarray(x.value).tolist()} {x.unit}" for key, x in tunables(tracker).items()]
-    functions = {
-        f"void {name}_init({name}_state *state)": stored(state),
-        f"void {name}_step({name}_state *state, const {name}_row *row, {name}_out *out)": (
-            [*loads, *step.lines, *stored(step.results[: len(state)]), *outs]
-        ),
-    }
+    told = "\n".join([f" * {about}, written by trackwright.", *levels])
+    told = re.sub(r"(?<=/)(?=\*)|(?<=\*)(?=/)", " ", told)  # no comment begins or ends there
+    if alike := [x for fields in (columns, outputs) for x in fields if fields.count(x) > 1]:
+        raise UnusableInput(f"two names of the tracker are both {alike[0]} in C; rename one")
+    signature = f"void {name}_step({name}_state *state, const {name}_row *row, {name}_out *out)"
+    functions = {f"void {name}_init({name}_state *state)": stored(state)}
+    functions[signature] = [*loads, *step.lines, *stored(step.results[: len(state)]), *outs]
     if begin is not None:
         sizes = {"mean": len(components), "cov": len(step.shapes[1][1])}
         given = {f"{key[0]}{k}_0": f"{key}[{k}]" for key, size in sizes.items() for k in range(size)}
@@ -344,8 +345,7 @@ def _written(
     guard, line = name.upper(), "\n"
     bodies = "\n\n".join(line.join([signature, "{", *body, "}"]) for signature, body in functions.items())
     header = f"""/*
- * {about.replace("*/", "* /")}, written by trackwright.
-{line.join(levels)}
+{told}
  */
 #ifndef {guard}_H
 #define {guard}_H

@@ -95,7 +95,7 @@ def export(
         tag: this tag alone; tum holds one.
         tracker: of c; default: as in `--noise`, else the one that fits the tables.
         noise: of c: a tuned.toml of `trackwright tune`.
-        force: replace a file that exists.
+        force: replace files that exist.
     """
     if format != "c":
         from trackwright.trackers.exchange.trajectories import export_tracks
@@ -111,6 +111,6 @@ def export(
     numbers, part = Numbers(tracker=tracker, noise=noise), Selection(() if tag is None else (tag,))
     folder = part.of(read_recording(run))
     numbers.read()
-    written = write_c(numbers.build(chosen_tracker([folder], numbers), folder), folder, out)
+    written = write_c(numbers.build(chosen_tracker([folder], numbers), folder), folder, out, force=force)
     print(f"wrote {', '.join(map(str, written))}")
     return 0

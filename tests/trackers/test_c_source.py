@@ -104,6 +104,24 @@ def test_a_filter_of_ones_own_matrices_leaves_as_c(tmp_path):
     np.testing.assert_allclose(found[:, :2], _mean(tracker.run(recording)), rtol=1e-9, atol=1e-9)
 
 
+def test_powers_of_zero_halves_and_comments_are_as_in_jax(tmp_path):
+    def measured(x):
+        return [sum(c * x[0] ** k for k, c in enumerate([0.1, 1.0, 0.02])) + 0.25 * jax.lax.round(2.5 + 0.0 * x[0])]
+
+    tracker = tw.nonlinear(lambda x, dt: x, {"a*/": measured}, 0.01 * np.eye(1), {"a*/": [[0.1]]}, x0=[1.0])
+    recording = tw.series({"a*/": np.sin(np.arange(9.0))})
+    found = _replayed(c_source(tracker, recording, "tag", double=True), recording, tmp_path)
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(found[:, 0], tracker.run(recording).mean.x[0], rtol=1e-7)
+
+
+def test_names_that_are_one_in_c_are_refused():
+    levels = {name: [[0.1]] for name in ("a b", "a_b")}
+    tracker = tw.nonlinear(lambda x, dt: x, {name: lambda x: x for name in levels}, np.eye(1), levels, x0=[1.0])
+    with pytest.raises(tw.UnusableInput, match="both a_b_values_0"):
+        c_source(tracker, tw.series({name: np.ones(3) for name in levels}))
+
+
 @pytest.mark.parametrize(("world", "name"), [("line", "line-pf"), ("agv", "mhk")])
 def test_a_tracker_that_draws_or_looks_back_is_refused(world, name):
     batch = _batch(world, name)

@@ -7,14 +7,10 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from trackwright.experiments.monte_carlo import Study, TrackerConfig, World
-from trackwright.experiments.monte_carlo.chunk import run_chunk
-from trackwright.experiments.monte_carlo.results import Results, Totals
 from trackwright.trackers.core.data.estimates import STEP_COLUMNS, Estimates, Status
 from trackwright.trackers.core.model.algebra import Vector
 from trackwright.trackers.core.model.motion import Placed
 from trackwright.trackers.core.model.rig import Rig
-from trackwright.trackers.evaluation.evaluate import rows_of
 from trackwright.trackers.recordings.folder import RecordingFolder
 
 PLACES = [(0, 0, 3), (8, 0, 2.5), (8, 6, 3), (0, 6, 2.5), (4, 0, 0.3), (8, 3, 0.5), (4, 6, 0.4), (0, 3, 0.2)]
@@ -59,31 +55,6 @@ def test_a_line_holds_the_sums_over_all_rows_of_its_time(one_noisy):
     assert [table[name].sum() for name in STEP_COLUMNS] == pytest.approx(sums[:3], rel=1e-12)
     # Every range but those before the start of the track.
     assert 4 * 2 * 57 <= table["nis_dof"].sum() <= 4 * 2 * 60
-
-
-@pytest.mark.slow
-def test_evaluate_and_a_study_find_the_same_nis_ratio_and_errors(one_noisy):
-    study = Study(
-        name="noisy",
-        about="",
-        worlds={"hall": World(lambda ids, seed: one_noisy)},
-        trackers={"uwb": TrackerConfig("uwb"), "slow": TrackerConfig("uwb", every=0.7)},
-        runs=2,
-    )
-    chunks = run_chunk(study, study.conditions[0], np.array(["a", "b"]), False)
-    table = tw.build("uwb", one_noisy).run(one_noisy).table
-    # A row holds for an interval if it is the last in it with an estimate and a truth.
-    scored_of = rows_of(table, one_noisy).filter(pl.col("why").is_null())
-    slow = scored_of.group_by("tag", (pl.col("t_s") / 0.7 + 1e-6).floor().alias("interval"), maintain_order=True).last()
-    parts = {"uwb": table, "slow": slow.select(table.columns)}
-    for (name, part), arrays in zip(parts.items(), chunks, strict=True):
-        evaluation = tw.evaluate(part, one_noisy)
-        totals = Totals(2)
-        totals.add(0, arrays)
-        results = Results(study, {(0, name): totals})
-        for metric in ("rmse_m", "rmse_3d_m", "nees_mean", "coverage_95", *["nis_ratio"] * (name == "uwb")):
-            found = results.at(metric, study.conditions[0], name).value
-            assert found == pytest.approx(evaluation[metric], rel=1e-9), (name, metric)
 
 
 @pytest.mark.slow
