@@ -39,8 +39,8 @@ def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
 
 
 def seed_key(seed: int) -> UInt32[Any, " 2"]:
-    """The data of the seed's key."""
-    return jax.random.key_data(jax.random.key(seed, impl=_GENERATOR))
+    """The data of the seed's key: both its halves, of which jax itself takes the lower one in single precision."""
+    return np.array([seed >> 32, seed & 0xFFFFFFFF], np.uint32)
 
 
 def keys_of(seed_key: UInt32[Any, " 2"], ids: UInt32[Any, " n"]) -> Keys:

@@ -190,7 +190,7 @@ class TrolleyDraw(AbstractDraw):
         flat = (x.reshape(*x.shape[:2], -1) for x in (ranges, heard))
         ranges, seen = corrupted(self.of_ranges, stream(keys, "ranges"), times, *flat)
         ranges, seen = (x.reshape(distances.shape) for x in (np.where(seen, ranges, 0.0), seen))
-        arrays = {"positions": positions, "headings": headings, "ranges": ranges, "seen": seen}
+        arrays = {"positions": positions, "headings": headings, "ranges": ranges, "seen": seen & (ranges > 0)}
         if self.wheels is not None:
             arrays["odometry"] = _driven(keys, times, axle, headings, self.wheels)
         return arrays

@@ -146,23 +146,15 @@ def facing(
     The array's y axis is as close as possible to `up`, a direction in the world. Raises ValueError where `up` is the
     line of sight.
     """
+    from scipy.spatial.transform import Rotation
+
     z = np.asarray(target, float) - position
     x = np.cross(up, z)
     if not np.linalg.norm(x) > 1e-9 * np.linalg.norm(z):
         raise ValueError(f"a station at {position} that faces {target}: up direction {up} is its line of sight")
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
-    (a, b, c), (d, e, f), (g, h, i) = np.stack([x, np.cross(z, x), z], axis=1)
-    # Four times q q': the row with the largest diagonal has no cancellation, even for a station that faces down.
-    product = np.array(
-        [
-            [1 + a + e + i, h - f, c - g, d - b],
-            [h - f, 1 + a - e - i, b + d, c + g],
-            [c - g, b + d, 1 - a + e - i, f + h],
-            [d - b, c + g, f + h, 1 - a - e + i],
-        ]
-    )
-    row = product[np.argmax(np.diag(product))]
-    return row / np.linalg.norm(row)
+    quaternion: np.ndarray = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1)).as_quat(scalar_first=True)
+    return quaternion
 
 
 def with_stations(rig: Rig, centre: Float[np.ndarray, " 3"], count: int) -> Rig:
