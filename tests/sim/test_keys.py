@@ -10,8 +10,8 @@ from trackwright.sim.keys import normals, stream, trajectory_keys, uniforms
 def test_seed_id_and_stream_each_give_other_numbers():
     zero = trajectory_keys(0, [0])
     keys = zero, trajectory_keys(1, [0]), trajectory_keys(0, [1]), stream(zero, "white"), stream(zero, "drift")
-    draws = [normals(one, (15,))[0] for one in keys]
-    assert len({tuple(draw) for draw in draws}) == 5
+    draws = [normals(one, (15,))[0] for one in (*keys, trajectory_keys(2**32, [0]))]
+    assert len({tuple(draw) for draw in draws}) == 6
 
 
 @pytest.mark.parametrize(("draw", "of_jax"), [(normals, jax.random.normal), (uniforms, jax.random.uniform)])
