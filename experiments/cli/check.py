@@ -45,7 +45,7 @@ def calibrate_recordings(*recordings: Recording, out: File, force: bool = False)
     Writes a file for `--calibration` of other commands, to be used with other recordings, and a page beside it.
 
     Args:
-        recordings: recording folders with truth, and bearings, ranges or tdoa; each has the same weight.
+        recordings: recording folders with truth, and bearings or ranges; each has the same weight.
         out: the file to write, as calibration.toml; the page and its figures go beside it.
         force: replace a file that exists, and take recordings in spite of the errors that `trackwright check` finds.
     """
