@@ -159,6 +159,15 @@ def _of_fixes() -> RecordingFolder:
 
 
 @cache
+def _of_all_ranges() -> RecordingFolder:
+    """The folder without lost ranges: a place in space needs four in turn."""
+    ranges, truth = folder().tables["ranges"], folder().tables["truth"].select("x_m", "y_m", "z_m").to_numpy()
+    true = np.linalg.norm(truth - [CORNERS[name] for name in ranges["anchor"]], axis=1)
+    heard = np.where(ranges["range_m"] > 0.0, ranges["range_m"], true)
+    return replace(folder(), tables=folder().tables | {"ranges": ranges.with_columns(range_m=pl.Series(heard))})
+
+
+@cache
 def _of_differences() -> RecordingFolder:
     """Messages of two to four range differences among five anchors, of which one in ten is missing, and the IMU."""
     anchors, rng, rows = {**RIG.anchors, "A5": np.array([3.0, 2.0, 0.3])}, np.random.default_rng(1), list[dict]()
@@ -298,7 +307,7 @@ def _ready_cases() -> Iterator[Case]:
     yield from both("tdoa", source=_of_differences)
     yield from both("tdoa-imu", source=_of_differences)
     yield from both("fusion", idle=("sensors.bearings.reported_std_scale",))
-    yield from both("multilateration", smoothable=False)
+    yield from both("multilateration", smoothable=False, source=_of_all_ranges)
     yield ready("trilateration", smoothable=False, idle=("sigma_r",))
     yield ready("trilateration-compensated", smoothable=False)
     # No walk of four seconds has a significant speed, and no reading a standard deviation.

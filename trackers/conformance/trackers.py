@@ -63,7 +63,7 @@ def tracker_checks(tracker: AbstractTracker, recordings: Sequence[Recording], *,
         for k, row in np.argwhere((wrong | ~np.isfinite(estimates().log_likelihood)) & valid):
             raise BrokenContract(f"row {row} of recording {k} is not finite; usual fix: check_motion, check_sensor")
         share = float(np.mean(estimates().status[valid] == Status.OK))
-        assert share > 1 / 3, f"a track runs in {share:.0%} of the rows; usual fix: recordings that the tracker follows"
+        assert share > 0.5, f"a track runs in {share:.0%} of the rows; usual fix: recordings that the tracker follows"
 
     @Check
     def padding() -> None:
