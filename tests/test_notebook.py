@@ -41,5 +41,5 @@ def test_the_notebook_runs_and_checks_its_gradient(tmp_path, monkeypatch):
     assert not [output for output in shown if output.output_type == "error"]
     tables = [output for output in shown if "text/html" in output.get("data", {})]
     pictures = [output for output in shown if "image/png" in output.get("data", {})]
-    assert len(tables) >= 2
+    assert len(tables) >= 3
     assert len(pictures) == 2

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 import polars as pl
 
+from trackwright.trackers.core.data.frames import html_table
 from trackwright.trackers.core.errors import UNIX_S, UnusableInput, has_control, listed, seconds
 from trackwright.trackers.core.model.rig import Rig
 from trackwright.trackers.recordings.checks.rules import check_rows
@@ -150,6 +151,10 @@ class RecordingFolder:
         calibrated = ", calibrated but for " + listed(self.uncalibrated()) if self.calibration is not None else ""
         return f"<recording {self.name!r}: {', '.join(parts)}, {len(self.notices)} notices{calibrated}>"
 
+    def _repr_html_(self) -> str:
+        rows = [(k, len(t), t["tag"].n_unique(), t["t_s"].min(), t["t_s"].max()) for k, t in self.tables.items()]
+        return html_table(repr(self), ("table", "rows", "tags", "from s", "to s"), rows)
+
 
 def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
     """A table with a row per tag, sensor and interval, s: means at the mean time, root mean square deviations."""
@@ -159,8 +164,8 @@ def averaged(table: pl.DataFrame, name: str, interval: float) -> pl.DataFrame:
     columns = kind.layout(table.columns)
     means = [_mean(column).alias(column) for column in columns.values]
     means += [pl.col(column).mean() for column in columns.quality]
-    stds = [s for s in map(std_column, columns.values) if s in table.columns]
-    squares = [pl.col(std).pow(2).mean().sqrt().alias(std) for std in stds]
+    stds = (pl.col(std) for std in map(std_column, columns.values) if std in table.columns)
+    squares = [std.pow(2).mean().sqrt() for std in stds]
     rows = distinct(table, kind).filter(pl.any_horizontal(pl.col(columns.values).is_not_null()))
     # No column has an empty name.
     groups = rows.group_by((pl.col("t_s") / interval).floor().alias(""), *columns.ids)
@@ -190,8 +195,7 @@ class Selection:
             return folder
         path = folder.path or folder.name
         present = {tag: None for name in folder.tables for tag in folder.tables[name]["tag"].unique().sort()}
-        lacking = [tag for tag in self.tags if tag not in present]
-        if lacking:
+        if lacking := [tag for tag in self.tags if tag not in present]:
             raise UnusableInput(f"{path}: no tag {listed(map(repr, lacking))}; its tags: {listed(present, 10)}")
         tables = {name: self._rows(table, name in KINDS, f"{path}: ") for name, table in folder.tables.items()}
         for name, table in tables.items():
@@ -358,11 +362,7 @@ def is_part(name: str) -> bool:
 def recordings_under(path: Path) -> list[Path]:
     """The recordings at or below a folder, sorted, also those that cannot be read; itself where there is none."""
     recordings, seen = list[Path](), set[str]()
-
-    def unread(error: OSError) -> None:
-        recordings.append(Path(error.filename))
-
-    for root, folders, files in os.walk(path, onerror=unread, followlinks=True):
+    for root, folders, files in os.walk(path, onerror=lambda e: recordings.append(Path(e.filename)), followlinks=True):
         real = os.path.realpath(root)
         if real in seen or any(map(is_part, files)):
             folders.clear()
