@@ -145,13 +145,13 @@ def write_c(named: NamedTracker, recording: RecordingFolder, out: Path, force: b
     if len(batches) > 1:
         raise UnusableInput(f"{recording.path}: its tags need {len(batches)} trackers; expected one; choose a --tag")
     first, name = batches[0].trajectories[0].recording, _identifier(out.stem)
+    paths = {".c": out, ".h": out.with_name(f"{name}.h"), ".csv": out.with_suffix(".csv")}
+    for ending, path in paths.items():
+        require_new(path, f"tracker{ending}", force)
     zero = f"; positions are from x = {recording.origin[0]!r}, y = {recording.origin[1]!r} m" * any(recording.origin)
     source = c_source(batches[0].tracker, first, name, f"{named.name} for {recording.name}{zero}")
     rows = "".join(",".join(map(repr, row)) + "\n" for row in rows_of(first, source.columns).tolist())
-    files = {out: source.body, out.with_name(f"{name}.h"): source.header, out.with_suffix(".csv"): rows}
-    for path in files:
-        require_new(path, path.name, force)
-    return [write_whole(path, text) for path, text in files.items()]
+    return [write_whole(*both) for both in zip(paths.values(), (source.body, source.header, rows), strict=True)]
 
 
 def rows_of(recording: Recording, columns: Sequence[str]) -> np.ndarray:

@@ -105,9 +105,7 @@ def export(
     from trackwright.experiments.cli.console import chosen_tracker
     from trackwright.trackers.c_source import write_c
     from trackwright.trackers.recordings.folder import Selection, read_recording
-    from trackwright.trackers.recordings.tracks_table import require_new
 
-    require_new(out, "tracker.c", force)
     numbers, part = Numbers(tracker=tracker, noise=noise), Selection(() if tag is None else (tag,))
     folder = part.of(read_recording(run))
     numbers.read()

@@ -54,12 +54,6 @@ def test_the_program_gives_the_estimates_and_statuses_of_run(world, name, tmp_pa
     np.testing.assert_allclose(found[usable, -5], np.asarray(expected.log_likelihood)[usable], rtol=1e-6, atol=1e-6)
 
 
-def test_a_sensor_whose_name_begins_with_a_digit_has_a_name_in_c(tmp_path):
-    tracker, recording = tw.linear(1.0, {"1": 1.0}, 1.0, {"1": 1.0}), tw.series({"1": np.arange(9.0)})
-    found = _replayed(c_source(tracker, recording, "tag", double=True), recording, tmp_path)
-    np.testing.assert_allclose(found[:, 0], tracker.run(recording).mean.x[0])
-
-
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_single_precision_compiles_without_a_warning_and_agrees_to_its_rounding(compiler, tmp_path):
     batch = _batch("ranges", "uwb")
@@ -104,12 +98,12 @@ def test_a_filter_of_ones_own_matrices_leaves_as_c(tmp_path):
     np.testing.assert_allclose(found[:, :2], _mean(tracker.run(recording)), rtol=1e-9, atol=1e-9)
 
 
-def test_powers_of_zero_halves_and_comments_are_as_in_jax(tmp_path):
+def test_powers_of_zero_halves_and_names_with_a_digit_or_a_comment_are_right(tmp_path):
     def measured(x):
         return [sum(c * x[0] ** k for k, c in enumerate([0.1, 1.0, 0.02])) + 0.25 * jax.lax.round(2.5 + 0.0 * x[0])]
 
-    tracker = tw.nonlinear(lambda x, dt: x, {"a*/": measured}, 0.01 * np.eye(1), {"a*/": [[0.1]]}, x0=[1.0])
-    recording = tw.series({"a*/": np.sin(np.arange(9.0))})
+    tracker = tw.nonlinear(lambda x, dt: x, {"1*/": measured}, 0.01 * np.eye(1), {"1*/": [[0.1]]}, x0=[1.0])
+    recording = tw.series({"1*/": np.sin(np.arange(9.0))})
     found = _replayed(c_source(tracker, recording, "tag", double=True), recording, tmp_path)
     with jax.enable_x64(True):
         np.testing.assert_allclose(found[:, 0], tracker.run(recording).mean.x[0], rtol=1e-7)
