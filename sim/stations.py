@@ -153,8 +153,7 @@ def facing(
     if not np.linalg.norm(x) > 1e-9 * np.linalg.norm(z):
         raise ValueError(f"a station at {position} that faces {target}: up direction {up} is its line of sight")
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
-    quaternion: np.ndarray = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1)).as_quat(scalar_first=True)
-    return quaternion
+    return np.asarray(Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1)).as_quat(scalar_first=True))
 
 
 def with_stations(rig: Rig, centre: Float[np.ndarray, " 3"], count: int) -> Rig:

@@ -160,7 +160,10 @@ class AbstractDraw(eqx.Module):
 
     def drawn(self, n: int | Sequence[int] | np.ndarray = 1, seed: int = 0, name: str = "world") -> SimulatedWorld:
         """The world of `n` trajectories, or of those with the ids `n`, each a function of the seed and its id alone."""
-        return SimulatedWorld(name, self, np.arange(n) if isinstance(n, int | np.integer) else np.asarray(n), seed)
+        ids = np.arange(n) if isinstance(n, int | np.integer) else np.asarray(n)
+        if not 0 < len({*ids.tolist()}) == len(ids):
+            raise ValueError(f"ids = {n!r}: expected one or more, each once")
+        return SimulatedWorld(name, self, ids, seed)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

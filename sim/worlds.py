@@ -378,8 +378,6 @@ def agv(
 
 def _drawn(name: str, draw: AbstractDraw, n: int, seed: int, ids: Ids) -> SimulatedWorld:
     """The world of `n` trajectories or of those with these ids, with the name of its folder."""
-    if ids is not None and not 0 < len({*ids}) == len(ids):
-        raise ParameterError("ids", ids, "one or more, each once")
     return draw.drawn(n if ids is None else list(ids), seed, f"simulated-{name}-{seed}")
 
 

@@ -66,9 +66,9 @@ def _scored(
         raise UnusableInput("the world has no tag to track; expected one for each id")
     folder = groups[0].trajectories[0].folder
     rows = rows_of(track(groups, seed=study.seed).table, folder, ids, config.every)
-    arrays = scored(rows, len(ids))
+    arrays, runs = scored(rows, len(ids)), cache(partial(TrackedRuns.of, rows, folder))
     for measure, function in study.measures.items():
-        values = arrays[f"measure {measure}"] = np.asarray(function(TrackedRuns.of(rows, folder)), float)
+        values = arrays[f"measure {measure}"] = np.asarray(function(runs()), float)
         if values.shape != ids.shape:
             found = f"measure '{measure}' returns shape {values.shape}; expected {ids.shape}"
             raise UnusableInput(f"study '{study.name}': {found}, one number for each trajectory")

@@ -218,8 +218,7 @@ def piece_of(n: int) -> int:
 
 def part_of(seed: int, ids: np.ndarray) -> Part:
     """The part of these trajectories."""
-    with jax.ensure_compile_time_eval():
-        return np.asarray(seed_key(seed)), ids.astype(np.uint32)
+    return seed_key(seed), ids.astype(np.uint32)
 
 
 def compiled(folder: RecordingFolder, batches: Batches, every: float | None, part: Part) -> ChunkProgram:

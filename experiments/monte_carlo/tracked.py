@@ -10,8 +10,9 @@ from polars import selectors as cs
 
 from trackwright.experiments.monte_carlo.scores import Scores, arrays_of, cells
 from trackwright.trackers.core.data.estimates import STATUS_WORDS, Status
+from trackwright.trackers.evaluation.evaluate import with_truth
 from trackwright.trackers.evaluation.metrics import ERROR_KINDS, TERMS, sums
-from trackwright.trackers.evaluation.rows import ANGLES, AXES, covariances, scored_rows
+from trackwright.trackers.evaluation.rows import ANGLES, AXES, covariances
 from trackwright.trackers.recordings.columns import float_column
 from trackwright.trackers.recordings.folder import RecordingFolder
 from trackwright.trackers.recordings.tracks_table import is_bearing
@@ -71,7 +72,7 @@ class TrackedRuns(NamedTuple):
 def rows_of(table: pl.DataFrame, folder: RecordingFolder, ids: np.ndarray, every: float | None) -> pl.DataFrame:
     """The scored rows of the table of a simulated folder, with the `number` of the trajectory of each. `every`: an
     interval, s, in which only a trajectory's last row is scored."""
-    rows = scored_rows(table, {folder.name: folder.tables["truth"]}, {folder.name: folder.rig.stations})
+    rows = with_truth(table, folder)
     number = {str(k): at for at, k in enumerate(ids)}
     rows = rows.with_columns(number=pl.col("tag").replace_strict(number, return_dtype=pl.Int32))
     if every is None:

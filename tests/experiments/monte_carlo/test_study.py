@@ -1,3 +1,5 @@
+from functools import partial
+
 import numpy as np
 import polars as pl
 import pytest
@@ -35,9 +37,7 @@ def _normal_tracked(seed, n=7, rows=50):
 def _summed(estimates, truth, entries, known, steps):
     """The arrays of a chunk's program for these estimates."""
     n = len(known)
-    found, sizes = sums(
-        estimates, truth, entries, known | True, known, steps, lambda x: x.reshape(n, -1).sum(axis=1, dtype=float)
-    )
+    found, sizes = sums(estimates, truth, entries, known | True, known, steps, partial(np.sum, axis=1, dtype=float))
     of_rows = {kind: cells(size, np.arange(n)[:, None], n) for kind, size in sizes.items()}
     return arrays_of([Scores(found, {kind: size.max(axis=1) for kind, size in sizes.items()}, of_rows)], n)
 
@@ -52,10 +52,9 @@ def _as_tables(estimates, truth, _, known, steps):
     """The same as a table of estimates and one of truth."""
     n, rows = known.shape
     keys = {"tag": np.repeat([f"{k:03}" for k in range(n)], rows), "t_s": np.tile(np.arange(rows), n)}
-    words = {Status.OK: "ok", Status.LOST: "lost"}
     table = {f"{a}_m": np.where(known, estimates[..., k], np.nan).ravel() for k, a in enumerate("xyz")}
     table |= {f"std_{a}_m": np.full(n * rows, 0.3) for a in "xyz"} | {"nis": steps[1].ravel()}
-    table |= {"nis_dof": steps[2].ravel(), "status": [words[code] for code in steps[0].ravel()]}
+    table |= {"nis_dof": steps[2].ravel(), "status": np.where(steps[0].ravel() == Status.LOST, "lost", "ok")}
     true = {f"{a}_m": truth[..., k].ravel() for k, a in enumerate("xyz")}
     return pl.DataFrame(keys | table).with_columns(recording=pl.lit("")), pl.DataFrame(keys | true)
 

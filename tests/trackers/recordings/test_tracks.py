@@ -39,14 +39,10 @@ def _all_rows(tracker, folder):
     return [np.concatenate([getattr(run, name) for run in runs]).astype(float) for name in (*STEP_COLUMNS, "wrapped")]
 
 
-@pytest.fixture(scope="module")
-def one_noisy():
-    """Four anchors at one time, one of them 12 times as noisy and never the last row of its time; two tags."""
-    return _ranges(np.arange(60) * 0.1, np.array([0.05, 0.6, 0.05, 0.05]), tags=("a", "b"))
-
-
 @pytest.mark.slow
-def test_a_line_holds_the_sums_over_all_rows_of_its_time(one_noisy):
+def test_a_line_holds_the_sums_over_all_rows_of_its_time():
+    # Four anchors at one time, one of them 12 times as noisy and never the last row of its time; two tags.
+    one_noisy = _ranges(np.arange(60) * 0.1, np.array([0.05, 0.6, 0.05, 0.05]), tags=("a", "b"))
     tracker = tw.build("uwb", one_noisy)
     table = tracker.run(one_noisy).table
     assert table.height == 2 * 60
