@@ -51,7 +51,7 @@ def test_the_derivative_by_every_tunable_is_the_central_difference(case, monkeyp
     Differences are taken with more than `FEW` trajectories: with few, an update of a diffuse prior loses digits to
     cancellation, and a difference divides the loss by the step. Derivatives are compared in both forms.
     """
-    # How far bearings bend is held fixed, and where they begin to the likelihood has a step.
+    # Where bearings begin to bend the likelihood has a step, and how far they bend has no derivative.
     monkeypatch.setattr(AbstractBearingSensor, "curved", False)
     tracker, recordings = case.tracker(), case.recordings()
     batch = stack([*recordings, *recordings], rows=ROWS)

@@ -74,18 +74,9 @@ def is_count(value: Any) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 0
 
 
-def numbers_of(kind: str, value: Any) -> np.ndarray:
-    """The value of a tunable of this kind as an array of floats; raises UnusableInput for anything but numbers."""
-    # Importing numpy takes a tenth of a second, which help and refused arguments need not wait for.
-    import numpy as np
-
-    numbers = np.asarray(value)
-    require(numbers.dtype.kind in "biuf", f"a {kind}", value, "a number or an array of numbers")
-    return numbers.astype(float)
-
-
 def floats(what: str, values: Any) -> np.ndarray:
     """The values as floats, NaN where an array masks them; raises UnusableInput for anything but numbers."""
+    # Importing numpy takes a tenth of a second, which help and refused arguments need not wait for.
     import numpy as np
 
     try:

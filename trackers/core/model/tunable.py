@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackwright.trackers.core.errors import UnusableInput, near, numbers_of
+from trackwright.trackers.core.errors import UnusableInput, near, require
 from trackwright.trackers.core.model.state import path_name
 
 Tree = TypeVar("Tree")
@@ -49,11 +49,13 @@ class AbstractTunable(eqx.Module):
 def _numbers(kind: str, value: Any) -> tuple[Any, Any]:
     """The value of a tunable of this kind as an array of floats, and its module: NumPy, or `jax.numpy` if traced.
 
-    Traced numbers, as inside `jax.grad` and `jax.vmap`, cannot be checked.
+    Raises UnusableInput for anything but numbers; traced ones, as inside `jax.grad` and `jax.vmap`, cannot be checked.
     """
     if isinstance(value, jax.core.Tracer):
         return value.astype(jnp.result_type(float)), jnp
-    return numbers_of(kind, value), np
+    numbers = np.asarray(value)
+    require(numbers.dtype.kind in "biuf", f"a {kind}", value, "a number or an array of numbers")
+    return numbers.astype(float), np
 
 
 class Scale(AbstractTunable):
