@@ -88,7 +88,7 @@ STUDY = Study(
 @pytest.fixture
 def studies(tmp_path, monkeypatch):
     """A study in Python with a world, a measure and a tracker of its own, and one in TOML."""
-    (tmp_path / "mine.py").write_text("from trackwright.trackers import catalogue\nMINE = catalogue.spec_of('fix-kf')\n")
+    (tmp_path / "mine.py").write_text("from trackwright.trackers.catalogue import spec_of\nMINE = spec_of('fix-kf')\n")
     (tmp_path / "study.py").write_text(PYTHON)
     (tmp_path / "small.toml").write_text(TOML + "[grid]\n'world.speed' = [0.2, 0.3]\n")
     monkeypatch.chdir(tmp_path)
