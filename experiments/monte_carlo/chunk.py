@@ -18,7 +18,7 @@ import numpy as np
 
 from trackwright.experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
 from trackwright.experiments.monte_carlo.program import ChunkProgram, UnfitError, compiled, part_of, piece_of
-from trackwright.experiments.monte_carlo.tracked import TrackedRuns, rows_of, scored
+from trackwright.experiments.monte_carlo.tracked import TrackedRuns, numbered_rows, scored
 from trackwright.trackers.core.data.recording import stack
 from trackwright.trackers.core.errors import UnusableInput
 from trackwright.trackers.core.filters.ekf import ExtendedKalman
@@ -65,7 +65,7 @@ def _scored(
     if not groups:
         raise UnusableInput("the world has no tag to track; expected one for each id")
     folder = groups[0].trajectories[0].folder
-    rows = rows_of(track(groups, seed=study.seed).table, folder, ids, config.every)
+    rows = numbered_rows(track(groups, seed=study.seed).table, folder, ids, config.every)
     arrays, runs = scored(rows, len(ids)), cache(partial(TrackedRuns.of, rows, folder))
     for measure, function in study.measures.items():
         values = arrays[f"measure {measure}"] = np.asarray(function(runs()), float)

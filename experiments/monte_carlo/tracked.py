@@ -69,7 +69,7 @@ class TrackedRuns(NamedTuple):
         return cls._make([times[:, :, 0] if bearing else times, *of_rows, folder])
 
 
-def rows_of(table: pl.DataFrame, folder: RecordingFolder, ids: np.ndarray, every: float | None) -> pl.DataFrame:
+def numbered_rows(table: pl.DataFrame, folder: RecordingFolder, ids: np.ndarray, every: float | None) -> pl.DataFrame:
     """The scored rows of the table of a simulated folder, with the `number` of the trajectory of each. `every`: an
     interval, s, in which only a trajectory's last row is scored."""
     rows = with_truth(table, folder)
